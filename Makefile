@@ -10,7 +10,7 @@ BIN := .venv/bin
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo picture test test-statistics lint messages bench shipped clean
+.PHONY: demo picture test test-statistics lint messages bench gpu shipped clean
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 demo: .venv/installed-evaluate
@@ -58,6 +58,12 @@ bench: .venv/installed-dev
 	$(BIN)/python -m tests.bench.pruning
 	$(BIN)/python -m tests.bench.interruptions
 	$(BIN)/python -m tests.bench.reliable_share grape serpent head spot_1 --most 65536
+
+# On a machine with a GPU: tests of its kernels, then what it does for the path tracer and the trainer. Eight minutes.
+gpu: .venv/installed-dev .venv/installed-cuda
+	cd tests/gpu && ../../$(BIN)/python -m pytest -p no:xdist -W default kernels
+	cd tests/gpu && ../../$(BIN)/python -m pytest -p no:xdist simulated
+	$(BIN)/python -m tests.on_gpu
 
 # Makes the files of prt_bake/shipped again from a lat-long sky: make shipped SKY=potsdamer_platz_1k.hdr
 shipped: .venv/installed-evaluate

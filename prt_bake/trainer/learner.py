@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from formats.errors import QueryError
 from prt_bake.mathematics.directions import rotations
@@ -16,6 +16,7 @@ from prt_bake.mathematics.sphere import fibonacci
 from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.network.features.view_features import ViewEncoding
 from prt_bake.network.lobes import Lobes, evaluate_lobes, mean_square
+from prt_bake.trainer.muon import Muon
 from prt_bake.trainer.objective import LobeTerms, Loss, exit_loss, value_loss
 from prt_bake.trainer.precision import bfloat16_is_faster
 from prt_bake.trainer.samples.rows import (
@@ -50,6 +51,8 @@ class LearningSettings:
     decay: float = 0.03
     """Weight decay, times the rate, per step; it damps weights fitted to the noise of the walks. AdamW: Loshchilov and
     Hutter 2019, "Decoupled weight decay regularization"."""
+    muon: bool = True
+    """Whether Muon updates the matrices of the hidden layers (`muon.py`); AdamW updates all other weights."""
     loss: Loss = "l2"
     floor: float = 0.01
     """Added to the denominator of the relative loss so that it stays finite, in squares of the output scale."""
@@ -121,9 +124,7 @@ class Learner:
         """Learn on the network's device."""
         self.network, self.settings = network, settings
         self.model = copy.deepcopy(network) if settings.average else network
-        self.optimizer = torch.optim.AdamW(
-            network.parameters(), lr=settings.rate, betas=(0.9, 0.99), weight_decay=settings.decay
-        )
+        self.optimizers = _optimizers(network, settings)
         self.step = 0
         self._device = network.frequencies.device
         self.bfloat16 = settings.bfloat16 and bfloat16_is_faster(self._device.type)
@@ -146,7 +147,7 @@ class Learner:
         `encoding` is that of `encode_views`, computed here if None. Raises QueryError if the loss is not finite, naming
         the query that caused it; the weights are unchanged then.
         """
-        for group in self.optimizer.param_groups:
+        for group in self._groups():
             group["lr"] = learning_rate(self.settings, share)
         rows = torch.from_numpy(batch.rows).to(self._device)
         losses = self._exit_losses(rows, generator, encoding) if source.exits else self._value_losses(rows, encoding)
@@ -154,9 +155,11 @@ class Learner:
         value = float(loss.detach())
         if not math.isfinite(value):
             raise QueryError(self._error(source, batch, losses.detach().cpu().numpy(), value))
-        self.optimizer.zero_grad(set_to_none=True)
+        for optimizer in self.optimizers:
+            optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
-        self.optimizer.step()
+        for optimizer in self.optimizers:
+            optimizer.step()
         self.step += 1
         if self.settings.average:
             self._average()
@@ -167,7 +170,7 @@ class Learner:
         return {
             "network": self.network.state_dict(),
             "average": self.model.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
+            "optimizers": [optimizer.state_dict() for optimizer in self.optimizers],
             "step": self.step,
             "bfloat16": self.bfloat16,
         }
@@ -176,12 +179,17 @@ class Learner:
         """Continue from `state`."""
         self.network.load_state_dict(state["network"])
         self.model.load_state_dict(state["average"] if self.settings.average else state["network"])
-        self.optimizer.load_state_dict(state["optimizer"])
-        for group in self.optimizer.param_groups:
+        for optimizer, values in zip(self.optimizers, state["optimizers"], strict=True):
+            optimizer.load_state_dict(values)
+        for group in self._groups():
             # A run on a GPU has others.
             group.update(lr=self.settings.rate, capturable=False, foreach=None)
         self.step = int(state["step"])
         self.bfloat16 = bool(state.get("bfloat16", self.bfloat16))
+
+    def _groups(self) -> list[dict[str, Any]]:
+        """The groups of weights of all optimisers."""
+        return [group for optimizer in self.optimizers for group in optimizer.param_groups]
 
     def _value_losses(self, rows: Tensor, encoding: ViewEncoding | None) -> Tensor:
         rays = rays_of(rows)
@@ -248,6 +256,15 @@ class Learner:
             f"position {_text(position)}, outgoing {_text(row[OUTGOING])}, incident {_text(ray[INCIDENT])}, "
             f"{channel} {_text(ray[CHANNELS])}; {cause}"
         )
+
+
+def _optimizers(network: NeuralBSSRDF, settings: LearningSettings) -> list[torch.optim.Optimizer]:
+    """AdamW, and Muon for the matrices of the hidden layers."""
+    matrices = [layer.weight for layer in network.hidden if isinstance(layer, nn.Linear) and settings.muon]
+    chosen = set(map(id, matrices))
+    others = [weights for weights in network.parameters() if id(weights) not in chosen]
+    adam = torch.optim.AdamW(others, lr=settings.rate, betas=(0.9, 0.99), weight_decay=settings.decay)
+    return [adam, Muon(matrices, settings.rate, settings.decay)] if matrices else [adam]
 
 
 def every_third(rays: Tensor, first: int) -> Tensor:

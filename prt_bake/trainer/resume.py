@@ -8,7 +8,7 @@ from formats.atomic import replacing
 from formats.errors import ModelError
 from prt_bake.network.file_names import state_path
 
-_VERSION = 3
+_VERSION = 4
 
 
 def require_state(output: str | Path) -> Path:

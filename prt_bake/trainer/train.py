@@ -272,6 +272,7 @@ class _Run:
             "seed": self.seed,
             "learning": asdict(self.learning),
             "precision": "bfloat16" if self.learner.bfloat16 else "float32",
+            "device": _name_of(network.frequencies.device),
             **self.data.metadata(network, self.learning),
             "validation_vs_time": [
                 [report.seconds, report.walks, report.validation] for report in every_tenth(self.history)
@@ -281,6 +282,11 @@ class _Run:
         if output is not None:
             save_model(network, output)
         return network
+
+
+def _name_of(device: torch.device) -> str:
+    """The name of the GPU that learned, or "cpu"."""
+    return str(torch.cuda.get_device_name(device)) if device.type == "cuda" else device.type
 
 
 def _walking_device(device: str, synchronous: bool, report: Callable[[str], None]) -> Literal["cpu", "cuda"]:

@@ -250,7 +250,10 @@ def test_a_concurrent_run_resumes_where_it_stopped(scene, tmp_path):
     assert training["seconds"] > state["seconds"]
     after = torch.load(state_path(output), weights_only=True)
     assert after["source"]["next_query"] > state["source"]["next_query"]
-    moments = [state["learner"]["optimizer"]["state"][0]["step"], after["learner"]["optimizer"]["state"][0]["step"]]
+    moments = [
+        state["learner"]["optimizers"][0]["state"][0]["step"],
+        after["learner"]["optimizers"][0]["state"][0]["step"],
+    ]
     assert moments == [60, 100]
     assert len(after["history"]) > len(state["history"])
 

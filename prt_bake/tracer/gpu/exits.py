@@ -99,7 +99,7 @@ def new_exits(queries: int, paths: int) -> Exits:
 
 def multiprocessors() -> int:
     """Multiprocessors of the GPU."""
-    return int(getattr(cuda.get_current_device(), "MULTIPROCESSOR_COUNT", 1))
+    return 1 if SIMULATED else int(cuda.get_current_device().MULTIPROCESSOR_COUNT)
 
 
 def _copied(value: Any) -> Any:

@@ -88,14 +88,14 @@ class GpuLearner(Learner):
     def _set_optimizer(self) -> None:
         """Let the optimiser keep its rate and its numbers of steps on the GPU, so that its steps can be recorded."""
         if self._recordable:
-            for group in self.optimizer.param_groups:
+            for group in self._groups():
                 rate = torch.tensor(self.settings.rate, device=self._device)
                 group.update(lr=rate, capturable=True, foreach=True)
-            for values in self.optimizer.state.values():
+            for values in self.optimizers[0].state.values():
                 values["step"] = values["step"].to(self._device)
 
     def _set_rate(self, rate: float) -> None:
-        for group in self.optimizer.param_groups:
+        for group in self._groups():
             if self._recordable:
                 group["lr"].fill_(rate)
             else:
@@ -116,7 +116,8 @@ class GpuLearner(Learner):
 
     def _step(self) -> None:
         assert self._batch is not None
-        self.optimizer.zero_grad(set_to_none=True)
+        for optimizer in self.optimizers:
+            optimizer.zero_grad(set_to_none=True)
         rows = self._batch.rows
         view = self.network.view
         encoding = None if view is None else view.encode(rows[:, POSITION], rows[:, OUTGOING], self._batch.normals)
@@ -127,7 +128,8 @@ class GpuLearner(Learner):
             if weights.grad is not None:
                 # A look at the loss, which may come many steps later, stops the training.
                 weights.grad.nan_to_num_(0.0, 0.0, 0.0)
-        self.optimizer.step()
+        for optimizer in self.optimizers:
+            optimizer.step()
         self._loss.copy_(loss.detach())
         faulty = torch.where(losses.detach().isfinite(), _NONE, self._batch.numbers).max()
         self._faulty.copy_(torch.maximum(self._faulty, faulty))
