@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,8 +35,9 @@ class BlockEstimate:
 class PathTraced:
     """The path tracer as a transport (`bakers.transport`)."""
 
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
+    def __init__(self, scene: Scene, device: Literal["cpu", "cuda"] = "cpu") -> None:
+        """Walks run on `device`."""
+        self.scene, self.device = scene, device
         self.metadata: dict[str, Any] = {
             "scene": scene.path.name,
             "scene_hash": scene.content_hash,
@@ -56,7 +57,7 @@ class PathTraced:
         """
         from prt_bake.tracer.estimate import estimate_coefficients
 
-        return estimate_coefficients(self.scene, positions, outgoing, degree, paths, seed)
+        return estimate_coefficients(self.scene, positions, outgoing, degree, paths, seed, device=self.device)
 
     def estimate_block(
         self, positions: ArrayLike, outgoing: ArrayLike, degree: int, paths: int, seeds: Sequence[int]
@@ -73,7 +74,7 @@ class PathTraced:
         at = np.repeat(np.asarray(positions, np.float64), bins, axis=0)
         above, clamped = self._clamped(at, towards_eye.reshape(-1, 3))
         keys = hashed(np.asarray(seeds, np.int64)[:, None], np.arange(bins)).reshape(-1)
-        estimate = estimate_coefficients(self.scene, at, above, degree, paths, keys=keys)
+        estimate = estimate_coefficients(self.scene, at, above, degree, paths, keys=keys, device=self.device)
         shape = (n, bins, (degree + 1) ** 2, 3)
         statistics = WalkStatistics(
             bins=n * bins,

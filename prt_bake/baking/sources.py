@@ -23,7 +23,7 @@ def open_source(path: str | Path, mesh: Mesh, device: str = "cpu", convention: s
     require_device(device)
     suffix = existing(path).suffix.lower()
     if suffix == ".toml":
-        return PathTraced(read_scene(path))
+        return PathTraced(read_scene(path), "cpu" if device == "cpu" else "cuda")
     if suffix not in (".pt", ".safetensors"):
         raise FormatError(f"{path}: expected a model (.pt, .safetensors) or a scene (.toml), found {suffix!r}")
     if convention is not None:
@@ -37,7 +37,7 @@ def open_source(path: str | Path, mesh: Mesh, device: str = "cpu", convention: s
 
 
 def require_device(device: str) -> None:
-    """Raises QueryError if a network cannot run on `device`, "cpu" or "cuda"."""
+    """Raises QueryError if networks cannot run on `device`, "cpu" or "cuda"."""
     if device == "cpu":
         return
     import torch

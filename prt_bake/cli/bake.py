@@ -121,8 +121,8 @@ def bake(
     surface = read_mesh(mesh)
     transport = open_source(source, surface, device, convention)
     if workers is None:
-        path_traced = source.suffix.lower() == ".toml" and scheduler is None
-        workers = (os.cpu_count() or 1) if path_traced else 1
+        walks_here = source.suffix.lower() == ".toml" and scheduler is None and device == "cpu"
+        workers = (os.cpu_count() or 1) if walks_here else 1
     sampling = (degree, rings, sectors, directions, samples)
     shared: Any = {
         "precision": precision,

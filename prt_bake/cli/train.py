@@ -49,7 +49,8 @@ def train(
     ] = True,
     seed: Seed = 0,
     device: Annotated[
-        Literal["auto", "cpu", "cuda"], typer.Option(help="Device that learns; auto: the GPU if there is one.")
+        Literal["auto", "cpu", "cuda"],
+        typer.Option(help="Device that path traces and learns; auto: the GPU if there is one."),
     ] = "auto",
 ) -> None:
     """Path trace a scene and fit a network to it.

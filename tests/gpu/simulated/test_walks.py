@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from formats.errors import QueryError
 from formats.scene import Scene, read_scene
+from prt_bake.baking.path_traced import PathTraced
 from prt_bake.tracer.estimate import estimate_coefficients
 from prt_bake.tracer.gpu import availability, exits
 from prt_bake.tracer.gpu.device_functions import cuda
@@ -87,6 +88,17 @@ def test_estimates_are_those_of_the_processor_for_chunks_of_any_length(
     for name in ("mean", "standard_error", "unscattered", "lost"):
         expected = getattr(here, name)
         assert_allclose(getattr(there, name), expected, atol=ROUNDING, err_msg=name)
+    assert np.abs(here.mean).max() > 0.01
+
+
+def test_blocks_of_a_path_traced_bake_are_those_of_the_processor(tmp_path: Path) -> None:
+    scene = make_scene(tmp_path, lumpy(2), eta=1.4, roughness=0.3, sigma_t=1.0, albedo=0.7)
+    positions, normals = scene.mesh.positions[:2], scene.mesh.normals[:2]
+    outgoing = np.stack([normals, normals], axis=1)
+    here, there = (
+        PathTraced(scene, device).estimate_block(positions, outgoing, 1, 6, [1, 2]) for device in ("cpu", "cuda")
+    )
+    assert_allclose(there.mean, here.mean, atol=ROUNDING)
     assert np.abs(here.mean).max() > 0.01
 
 
