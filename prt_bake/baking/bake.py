@@ -93,7 +93,7 @@ def bake(
         storage: "float16" or "float32", in the file.
         workers: threads; each bakes its own block of vertices, except that random walks share each block.
         scheduler: address of a `dask.distributed` scheduler whose workers bake the blocks (the extra `cluster`).
-        device: where a network is evaluated ("cpu", "cuda").
+        device: where a network is evaluated ("cpu", "cuda"); `PathTraced(scene, "cuda")` path traces on a GPU.
         progress: called after each block.
         stop: called before each block; returning true ends the bake with a valid partial asset, as Ctrl-C does.
         resume: continue from the finished blocks of a stopped or killed bake of the same `out`, transport, mesh and
@@ -170,7 +170,7 @@ def bake(
         "seed": seed,
         "precision": precision,
         "storage": storage,
-        "device": device,
+        "device": getattr(transport, "device", device),
         "leave_out": sorted(leave_out),
         "for_light": None if light is None else light.content_hash,
         "for_eye": None if eye is None else eye.tolist(),

@@ -8,6 +8,7 @@ from formats.errors import FormatError, QueryError
 from formats.mesh import Mesh
 from formats.scene import read_scene
 from prt_bake.baking.path_traced import PathTraced
+from prt_bake.tracer.gpu.availability import require_walks_on
 
 
 def open_source(path: str | Path, mesh: Mesh, device: str = "cpu", convention: str | None = None) -> Any:
@@ -20,10 +21,11 @@ def open_source(path: str | Path, mesh: Mesh, device: str = "cpu", convention: s
         FormatError: an unknown suffix.
         PrtbakeError: the file is missing, damaged or unsafe, or the device does not exist.
     """
-    require_device(device)
     suffix = existing(path).suffix.lower()
     if suffix == ".toml":
+        require_walks_on(device)
         return PathTraced(read_scene(path), "cpu" if device == "cpu" else "cuda")
+    require_device(device)
     if suffix not in (".pt", ".safetensors"):
         raise FormatError(f"{path}: expected a model (.pt, .safetensors) or a scene (.toml), found {suffix!r}")
     if convention is not None:

@@ -13,7 +13,7 @@ import typer
 from formats.errors import PrtbakeError
 from prt_bake.cli.shared.lobes import lobes_sentence
 from prt_bake.cli.shared.mesh_name import naming_mesh
-from prt_bake.cli.shared.options import Device, OnlyEye, ReportFile, Seed, output_option, within
+from prt_bake.cli.shared.options import OnlyEye, ReportFile, Seed, output_option, within
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.plan import plan_lines
 from prt_bake.cli.shared.progress import bake_progress, reporting, say, stopping
@@ -49,7 +49,9 @@ def bake(
         ),
     ] = None,
     seed: Seed = 0,
-    device: Device = "cpu",
+    device: Annotated[
+        Literal["cpu", "cuda"], typer.Option(help="Device that runs the network, or path traces the scene.")
+    ] = "cpu",
     precision: Annotated[
         Literal["float32", "bfloat16"], typer.Option(help="Number type of the network's matrix products.")
     ] = "float32",

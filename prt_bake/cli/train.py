@@ -108,7 +108,7 @@ def _progress_text(row: "TrainingProgress") -> str:
     return (
         f"step {row.step}, loss {row.loss:.4g}, validation error {row.validation:.2%}, "
         f"{row.queries_per_second:,.0f} queries/s (each used {row.reuse:.2g} times, {row.waited:.0%} waiting), "
-        f"{row.walks_per_second:,.0f} paths/s ({row.walking:.0%} path tracing)"
+        f"{row.walks_per_second:,.0f} paths/s" + (f" ({row.walking:.0%} path tracing)" if row.walking else "")
     )
 
 

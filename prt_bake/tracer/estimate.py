@@ -18,6 +18,7 @@ from formats.errors import QueryError
 from formats.scene import Scene
 from prt_bake.jit.threads import in_threads
 from prt_bake.mathematics.moments import SUMS, Moments, from_sums, merged
+from prt_bake.tracer.gpu.availability import require_walks_on
 from prt_bake.tracer.prepared import KernelQueries, PreparedScene, has_dielectric_inside, prepare, smooth_part
 from prt_bake.tracer.surface.boundary import SMOOTHEST
 from prt_bake.tracer.surface.interface import ROUGH
@@ -170,6 +171,7 @@ def estimate_coefficients(
     >>> prt.estimate_coefficients(scene, x, n, degree=2, paths=64).mean.shape
     (1, 9, 3)
     """
+    require_walks_on(device)
     prepared = prepare(scene)
     if degree < 0:
         raise QueryError(f"degree: expected 0 or more, found {degree}")
@@ -200,14 +202,12 @@ def estimate_coefficients(
 def _sum_on_gpu(
     prepared: PreparedScene, queries: KernelQueries, chunks: NDArray[np.int64], degree: int, seed: int, sums: Array
 ) -> None:
-    from prt_bake.tracer.gpu.availability import reason_against
-
-    if reason := reason_against():
-        raise QueryError(f"device: walks cannot run on a GPU: {reason}; or use device='cpu'")
     from prt_bake.tracer.gpu.exits import MOST_HARMONICS, sum_coefficients
 
     if (degree + 1) ** 2 > MOST_HARMONICS:
-        raise QueryError(f"degree: expected at most {math.isqrt(MOST_HARMONICS) - 1} on a GPU, found {degree}")
+        raise QueryError(
+            f"degree: expected at most {math.isqrt(MOST_HARMONICS) - 1} on a GPU, found {degree}; use the CPU"
+        )
     sum_coefficients(prepared, queries, chunks, degree, seed, sums)
 
 

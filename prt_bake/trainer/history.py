@@ -13,13 +13,14 @@ class TrainingProgress:
     Attributes:
         seconds, step: training time and optimiser steps so far, earlier runs that were resumed included.
         share: the same as a share of the complete run, from 0 to 1.
-        loss: mean over the steps. The loss of exits omits a constant and may be negative.
+        loss: mean over the steps; on a GPU it is looked at every 64th step. The loss of exits omits a constant and may
+            be negative.
         validation: relative RMSE on held-out queries, of Ŝ, or of a_lm where the boundary bends light.
         queries_per_second: rows that the learner consumed.
         walks_per_second: walks that the renderer traced.
         walks: walks since the beginning.
         waited: share of the time that the learner waited for rows, the time to fetch them included.
-        walking: share of the time that the renderer traced walks.
+        walking: share of the time that the renderer traced walks; 0 on a GPU, where it is not measured.
         reuse: rows consumed over rows rendered, since the beginning. Above 1 rows are used repeatedly, below 1 some are
             never used. With a file of samples: passes over the file.
     """

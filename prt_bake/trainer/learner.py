@@ -2,6 +2,7 @@
 
 import copy
 import math
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -165,6 +166,17 @@ class Learner:
             self._average()
         return value
 
+    def result(self) -> NeuralBSSRDF:
+        """The model, its weights rounded as in a file."""
+        return self.model.eval().rounded()
+
+    def check(self, source: RowSource) -> None:
+        """Do nothing: `learn` has looked at every loss."""
+
+    def stream(self) -> AbstractContextManager[Any]:
+        """The context in which to learn: none on the processor."""
+        return nullcontext()
+
     def state(self) -> dict[str, Any]:
         """The state that `restore` reads: weights, their average, the optimiser's moments, step and precision."""
         return {
@@ -182,10 +194,10 @@ class Learner:
         for optimizer, values in zip(self.optimizers, state["optimizers"], strict=True):
             optimizer.load_state_dict(values)
         for group in self._groups():
-            # A run on a GPU has others.
+            # A run on a GPU keeps its rate there.
             group.update(lr=self.settings.rate, capturable=False, foreach=None)
         self.step = int(state["step"])
-        self.bfloat16 = bool(state.get("bfloat16", self.bfloat16))
+        self.bfloat16 = self.bfloat16 and bool(state.get("bfloat16", True))
 
     def _groups(self) -> list[dict[str, Any]]:
         """The groups of weights of all optimisers."""

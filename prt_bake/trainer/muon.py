@@ -46,8 +46,9 @@ class Muon(torch.optim.Optimizer):
 
 
 def orthogonal(matrix: Tensor) -> Tensor:
-    """Nearly the orthogonal matrix next to `matrix` [M,N]: all its singular values become 0.7 to 1.2.
+    """Nearly the orthogonal matrix next to `matrix` [M,N].
 
+    Singular values above a three hundredth of its norm become 0.7 to 1.2, smaller ones grow up to 480-fold.
     Newton–Schulz iteration on the smaller side.
     """
     tall = matrix.shape[0] > matrix.shape[1]

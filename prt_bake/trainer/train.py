@@ -1,8 +1,8 @@
 """`train`: fits a network to a scene for a given time or number of steps.
 
 The loss is the squared error (the paper's L2) of Ŝ in units of the network's output scale. Where the boundary bends
-light it is estimated from exits of walks (`objective.py`). The optimiser is AdamW with a cosine schedule and averaged
-weights. Matrix products are in bfloat16 if the processor is faster in it.
+light it is estimated from exits of walks (`objective.py`). The optimisers are Muon and AdamW with a cosine schedule and
+averaged weights. Matrix products are in bfloat16 if the device is faster in it.
 """
 
 import json
@@ -111,7 +111,8 @@ def train(
         data = SampleFileData(scene, samples, seed, synchronous)
     else:
         report("path tracing the validation queries")
-        walking = _walking_device(chosen, synchronous, report)
+        values = stream is not None and stream.rays == "values"
+        walking = _walking_device(chosen, synchronous or values, report)
         data = PathTracedData(scene, stream or _stream(walking), seed, synchronous, walking)
     run = _Run(
         data,
@@ -148,6 +149,7 @@ class _Run:
             **{f"network {name}": value for name, value in settings.as_json().items()},
             "interior": "" if interior is None else interior.content_hash,
             "seed": seed,
+            "muon": learning.muon,
             **data.resume_settings,
         }
         self.synchronous = bool(self.resume_settings["synchronous"])
@@ -205,7 +207,8 @@ class _Run:
         prefetcher = Prefetcher(self.source, self.learner, self.generator, prefetching)
         torch.set_num_threads(threads)
         try:
-            self._learn(self.source, prefetcher, seconds, steps, output, progress)
+            with self.learner.stream():
+                self._learn(self.source, prefetcher, seconds, steps, output, progress)
         except KeyboardInterrupt:
             pass
         finally:
@@ -239,6 +242,7 @@ class _Run:
             if output is not None and time.perf_counter() - saved > self.learning.checkpoint_every:
                 self.save(output)
                 saved = time.perf_counter()
+        self.learner.check(source)
         if not meter.empty:
             self._report(meter, 1.0, source, progress)
 
@@ -256,6 +260,8 @@ class _Run:
 
     def save(self, output: str | Path) -> None:
         """Write the model and its checkpoint."""
+        assert self.source is not None
+        self.learner.check(self.source)
         save_model(self.learner.model, output)
         write_state(output, self.state())
 
@@ -264,7 +270,7 @@ class _Run:
         assert self.source is not None
         if output is not None:  # measuring takes long and may be interrupted
             self.save(output)
-        network = self.learner.model.eval().rounded()
+        network = self.learner.result()
         network.metadata["training"] = {
             "seconds": self.seconds,
             "steps": self.learner.step,
@@ -289,11 +295,15 @@ def _name_of(device: torch.device) -> str:
     return str(torch.cuda.get_device_name(device)) if device.type == "cuda" else device.type
 
 
-def _walking_device(device: str, synchronous: bool, report: Callable[[str], None]) -> Literal["cpu", "cuda"]:
-    """The device that path traces: the one that learns, unless it is a GPU that cannot. Synchronous runs walk on the
-    processor, whose walks do not depend on the machine.
+def _walking_device(device: str, on_processor: bool, report: Callable[[str], None]) -> Literal["cpu", "cuda"]:
+    """The device that path traces: the one that learns, unless it is a GPU that cannot.
+
+    `on_processor`: synchronous runs and values of Ŝ, of which a GPU can do neither.
     """
-    if device == "cpu" or synchronous:
+    if device == "cpu":
+        return "cpu"
+    if on_processor:
+        report("the GPU learns, and the processor path traces")
         return "cpu"
     from prt_bake.tracer.gpu.availability import reason_against
 

@@ -65,9 +65,11 @@ class PathTracedData:
     def source(self, learning: LearningSettings, device: str, state: dict[str, int] | None) -> RowSource:
         """A renderer whose kernel is compiled."""
         if self.on_gpu:
-            from prt_bake.trainer.gpu.renderer import GpuRenderer
+            from prt_bake.trainer.gpu.renderer import compiled_renderer
 
-            return GpuRenderer(self._prepared, self.box, self._stream, self._seed, self.scene.normals, state)
+            return compiled_renderer(
+                self.scene, self._prepared, self.box, self._stream, self._seed, learning.batch, state
+            )
         tracer: RowTracer = row_tracer(self.scene, self._prepared, self.box, self._stream, self._seed)
         tracer.render(0, 1)
         if self._synchronous:

@@ -13,6 +13,9 @@ from prt_bake.trainer.train import train
 from prt_bake.trainer.validation import hold_out_coefficients
 from tests.on_gpu import walks
 
+MOST_DIFFERENT, ROUNDING = 1e-3, 1e-6
+LARGEST_MEAN_SQUARE, LARGEST_Z = 1.25, 6.0
+"""Of some 3,400 z-scores, nine at a time from the same walks: beyond what right walks reach once in a million times."""
 TRAINED = "dragon's stand-in"
 
 
@@ -25,13 +28,16 @@ def main() -> None:
         raise SystemExit(f"prtbake: walks cannot run on a GPU here: {reason}")
     begun = time.perf_counter()
     print(torch.cuda.get_device_name())
-    print_walks()
+    faults = print_walks()
     print_training(minutes)
     print(f"{time.perf_counter() - begun:.0f} s in all")
+    if faults:
+        raise SystemExit("\n".join(faults))
 
 
-def print_walks() -> None:
-    """One row for each scene."""
+def print_walks() -> list[str]:
+    """One row for each scene; returns what is wrong."""
+    faults = []
     print("| scene | M walks/s | one core, k | ratio | walks that differ | mean throughput | z² | largest z |")
     print("|---|---|---|---|---|---|---|---|")
     for name in walks.SCENES:
@@ -44,8 +50,11 @@ def print_walks() -> None:
             f"{square:.3f} | {largest:.1f} of {count} |",
             flush=True,
         )
+        if share > MOST_DIFFERENT or square > LARGEST_MEAN_SQUARE or largest > LARGEST_Z:
+            faults.append(f"{name}: the walks of the GPU are not those of the processor")
     deviation = walks.furnace(walks.load("spot, index-matched"))
-    print(f"white furnace: every walk leaves with its whole throughput, up to {deviation:.1e}")
+    print(f"white furnace: the throughput of walks that leave differs from 1 by up to {deviation:.1e}")
+    return faults + ([] if deviation < ROUNDING else ["white furnace: walks lose or gain light"])
 
 
 def print_training(minutes: float) -> None:

@@ -179,7 +179,7 @@ Lights = Annotated[
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-Device = Annotated[Literal["cpu", "cuda"], typer.Option(help="Device that runs the network, or path traces a scene.")]
+Device = Annotated[Literal["cpu", "cuda"], typer.Option(help="Device that runs the network.")]
 ReportFile = Annotated[
     Path | None,
     optional_output("--report", "R.json", "Also write settings, errors and times as JSON.", ".json"),

@@ -4,7 +4,20 @@ from functools import cache
 from importlib.util import find_spec
 from typing import Any
 
+import numba
 import numpy as np
+
+from formats.errors import QueryError
+from prt_bake.mathematics.counter import mix
+
+
+def require_walks_on(device: str) -> None:
+    """Raise QueryError if walks cannot run on `device`, "cpu" or "cuda"."""
+    if device == "cpu":
+        return
+    reason = reason_against() if device == "cuda" else f"expected 'cpu' or 'cuda', found {device!r}"
+    if reason:
+        raise QueryError(f"device: walks cannot run on a GPU: {reason}; or use the CPU")
 
 
 @cache
@@ -13,11 +26,12 @@ def reason_against() -> str:
 
     Compilers, drivers and versions that do not fit together fail in many ways, so a small kernel is tried.
     """
-    from prt_bake.tracer.gpu.device_functions import SIMULATED, cuda, kernel
-
-    if not SIMULATED and find_spec("numba_cuda") is None:
+    if find_spec("numba_cuda") is None and not vars(numba.config)["ENABLE_CUDASIM"]:
         return "numba-cuda is not installed; pip install 'prt-bake[cuda]'"
     try:
+        from prt_bake.tracer.gpu.device_functions import cuda, device_function, kernel
+
+        device_function(mix)
         if not cuda.is_available():
             return "numba-cuda finds no GPU that it can use; its driver may be too old"
         numbers = cuda.to_device(np.zeros(1))

@@ -16,7 +16,7 @@ from prt_bake.tracer.volume.media import Media
 __all__ = ["MOST_HARMONICS", "SIMULATED", "Exits", "SceneOnGpu", "new_exits", "on_gpu", "sum_coefficients"]
 
 THREADS = 128
-_BLOCKS_PER_MULTIPROCESSOR = 8
+_BLOCKS_PER_MULTIPROCESSOR = 4
 _WALKS_AT_ONCE = 1 << 22
 
 

@@ -1,7 +1,8 @@
 """The nearest hit of a ray, from a tree of boxes, in scalar code for the processor and for CUDA.
 
 Boxes are tested in float32; they are larger than their faces by more than the rounding (`tree.MARGIN`). Faces are
-tested in float64, and reach a little beyond their edges, so that no ray slips through between two of them.
+tested in float64, and reach a little beyond their edges, so that rays do not slip through between two of them, unless
+these are extreme slivers.
 """
 
 from typing import Any

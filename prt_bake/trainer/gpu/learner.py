@@ -1,6 +1,7 @@
 """A learner whose steps are recorded as one graph of the GPU's operations, and replayed without waiting for it."""
 
 import math
+from contextlib import AbstractContextManager, nullcontext
 from importlib.util import find_spec
 from typing import Any
 
@@ -12,16 +13,18 @@ from formats.errors import QueryError
 from prt_bake.mathematics.sphere import fibonacci
 from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.network.features.view_features import ViewEncoding
+from prt_bake.tracer.gpu.device_functions import cuda
 from prt_bake.trainer.gpu.renderer import GpuBatch
 from prt_bake.trainer.learner import Learner, LearningSettings, learning_rate
 from prt_bake.trainer.samples.rows import OUTGOING, POSITION, Batch, RowSource, rays_of
 
-GPU_LEARNING = LearningSettings(batch=2048)
+GPU_LEARNING = LearningSettings(batch=2048, coarse_steps=0)
 """Settings for a GPU."""
 _WARM_UP = 3
 """Steps before the recording: first compilations and allocations cannot be recorded."""
 _stream: Any = torch.cuda.Stream
-"""Torch has no type annotations for it."""
+_on_stream: Any = torch.cuda.stream
+"""Torch has no type annotations for them."""
 _CHECK_EVERY = 64
 """Steps between two looks at the loss, each of which waits for the GPU."""
 _NONE = -1
@@ -34,11 +37,15 @@ class GpuLearner(Learner):
     def __init__(self, network: NeuralBSSRDF, settings: LearningSettings) -> None:
         """Learn on the network's device, a GPU."""
         super().__init__(network, settings)
-        self._recordable = self._device.type == "cuda"
+        on_gpu, kernels = self._device.type == "cuda", find_spec("triton") is not None
         for view in (network.view, self.model.view):
-            if self._recordable and view is not None:
-                view.use_kernels = find_spec("triton") is not None
+            if view is not None:
+                view.use_kernels = on_gpu and kernels
+        # Without Triton the processor traces view rays with reflections.
+        self._recordable = on_gpu and (kernels or not network.settings.ray_turns)
         self._set_optimizer()
+        self._generator = torch.Generator(self._device)
+        self._turns = torch.zeros((settings.batch, 3), device=self._device)
         self._lattice = torch.from_numpy(fibonacci(settings.spread).astype(np.float32)).to(self._device)
         self._average_share = torch.zeros((), device=self._device)
         self._loss = torch.zeros((), device=self._device)
@@ -65,6 +72,8 @@ class GpuLearner(Learner):
         for kept, part in zip(self._batch, batch, strict=True):
             kept.copy_(part)
         self._set_rate(learning_rate(self.settings, share))
+        self._generator.manual_seed(int(generator.integers(2**62)))
+        self._turns.uniform_(generator=self._generator)
         self._average_share.fill_(self._share_of_average(self.step + 1))
         if not self._recordable:
             self._step()
@@ -77,7 +86,7 @@ class GpuLearner(Learner):
         self.step += 1
         self._steps_here += 1
         if self._steps_here % _CHECK_EVERY == 1:
-            self._check(source)
+            self.check(source)
         return self._last_loss
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -110,7 +119,8 @@ class GpuLearner(Learner):
 
     def _record(self) -> None:
         self._graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(self._graph, capture_error_mode="thread_local"):
+        # Arrays that numba frees meanwhile would end the recording.
+        with cuda.defer_cleanup(), torch.cuda.graph(self._graph, capture_error_mode="thread_local"):
             self._step()
         self._graph.replay()
 
@@ -121,7 +131,7 @@ class GpuLearner(Learner):
         rows = self._batch.rows
         view = self.network.view
         encoding = None if view is None else view.encode(rows[:, POSITION], rows[:, OUTGOING], self._batch.normals)
-        losses = self._losses_of_exits(rows, rays_of(rows), self._uniform(len(rows)), encoding)
+        losses = self._losses_of_exits(rows, rays_of(rows), self._uniform(), encoding)
         loss = losses.mean()
         torch.autograd.backward(loss)
         for weights in self.network.parameters():
@@ -138,22 +148,35 @@ class GpuLearner(Learner):
                 for mean, weights in zip(self.model.parameters(), self.network.parameters(), strict=True):
                     mean.lerp_(weights, self._average_share)
 
-    def _uniform(self, queries: int) -> Tensor:
+    def _uniform(self) -> Tensor:
         """A randomly rotated lattice [Q,S,3] for each query (Shoemake 1992, as `prt_bake.mathematics.directions`)."""
-        u = torch.rand((queries, 3), device=self._device)
+        u = self._turns
         low, high = (1.0 - u[:, 0]).sqrt(), u[:, 0].sqrt()
         a, b = 2.0 * math.pi * u[:, 1], 2.0 * math.pi * u[:, 2]
         q = torch.stack((low * torch.sin(a), low * torch.cos(a), high * torch.sin(b)), dim=1)[:, None]
         w = (high * torch.cos(b))[:, None, None]
-        lattice = self._lattice.expand(queries, -1, -1)
+        lattice = self._lattice.expand(len(u), -1, -1)
         twice = 2.0 * torch.linalg.cross(q.expand_as(lattice), lattice)
         turned: Tensor = lattice + w * twice + torch.linalg.cross(q.expand_as(lattice), twice)
         return turned
 
-    def _check(self, source: RowSource) -> None:
+    def result(self) -> NeuralBSSRDF:
+        """The model as if it were read from a file: it may move to the processor, where kernels for a GPU fail."""
+        network = super().result()
+        if network.view is not None:
+            network.view.use_kernels = False
+        return network
+
+    def stream(self) -> AbstractContextManager[Any]:
+        """The stream of the GPU on which numba launches the walks."""
+        return _on_stream(torch.cuda.default_stream(self._device)) if self._device.type == "cuda" else nullcontext()
+
+    def check(self, source: RowSource) -> None:
+        """Raise QueryError if the loss of a step since the last look was not finite."""
         self._last_loss, faulty = float(self._loss), int(self._faulty)
         if faulty != _NONE:
             raise QueryError(
-                f"train: the loss of one of the {_CHECK_EVERY} steps before step {self.step} is not finite, caused by "
-                f"{source.describe(faulty)}: check the scene there, or lower the rate ({self.settings.rate:g})"
+                f"train: the loss of one of the last {_CHECK_EVERY} steps before step {self.step} is not finite, "
+                f"caused by {source.describe(faulty)}: check the scene there, or lower the rate "
+                f"({self.settings.rate:g})"
             )

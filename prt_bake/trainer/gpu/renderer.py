@@ -5,6 +5,7 @@ Walks and learning take turns on the GPU, which both can fill alone. The process
 
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -12,12 +13,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from formats.scene import Scene
 from prt_bake.tracer.gpu.device_functions import SIMULATED
 from prt_bake.tracer.gpu.exits import Exits, on_gpu
 from prt_bake.tracer.prepared import KernelQueries, PreparedScene
 from prt_bake.trainer.gpu.resampling import kernel_array, resampled
 from prt_bake.trainer.samples.queries import QuerySource
+from prt_bake.trainer.samples.resampling import resampling_offsets
 from prt_bake.trainer.samples.rows import Box, SourceStatistics, StreamSettings, query_description
+
+Array = NDArray[np.float64]
 
 GPU_STREAM = StreamSettings(queries_a_batch=1 << 15, exits=64, kept=24)
 """Settings for a GPU: `queries_a_batch` are traced at once, each with `exits` walks."""
@@ -36,14 +41,15 @@ class GpuBatch(NamedTuple):
 
 
 class _Placed(NamedTuple):
-    """Queries of a block: their number, rows before the rays float32 [B,6], normals float32 [B,3], and in the kernels'
-    coordinates.
+    """Queries of a block: their number, rows before the rays float32 [B,6], normals float32 [B,3], in the kernels'
+    coordinates, and the random numbers of resampling [B,1].
     """
 
     first: int
     rows: NDArray[np.float32]
     normals: NDArray[np.float32]
     queries: KernelQueries
+    offsets: Array
 
 
 class GpuRenderer:
@@ -57,15 +63,16 @@ class GpuRenderer:
         box: Box,
         settings: StreamSettings,
         seed: int,
+        batch: int,
         normals: Literal["face", "vertex"],
         state: dict[str, int] | None = None,
     ) -> None:
-        """Continue from `state` if given; normals: "face" or "vertex"."""
+        """Rows are drawn `batch` at a time, of which blocks hold a multiple. Continue from `state` if given."""
         begun = state or {"next_query": 0, "walks": 0, "rows": 0}
         self._next_query, self._walks, self._rows = begun["next_query"], begun["walks"], begun["rows"]
         self._prepared, self._box, self._settings, self._seed, self._normals = prepared, box, settings, seed, normals
         self._source = QuerySource(prepared, 1, seed, settings.face_share, settings.edge_share)
-        self._scene, self._size = on_gpu(prepared), settings.queries_a_batch
+        self._scene, self._size = on_gpu(prepared), batch * -(-settings.queries_a_batch // batch)
         self._pool = ThreadPoolExecutor(_AHEAD, "prtbake-places")
         self._pending: deque[Future[_Placed]] = deque()
         self._block: GpuBatch | None = None
@@ -81,12 +88,12 @@ class GpuRenderer:
             self._pending.append(self._pool.submit(self._place, self._next_query + block * self._size))
 
     def stop(self) -> None:
-        """End the thread that places queries."""
+        """End the threads that place queries."""
         self._pool.shutdown(cancel_futures=True)
 
     def draw(self, count: int, generator: np.random.Generator) -> Any:
-        """The next `count` rows, on the GPU; `generator` is not used."""
-        if self._block is None or self._drawn + count > self._size:
+        """The next `count` rows, the batch, on the GPU; `generator` is not used."""
+        if self._block is None or self._drawn == self._size:
             self._block, self._drawn = self._trace_block(), 0
         chosen = slice(self._drawn, self._drawn + count)
         self._drawn += count
@@ -109,7 +116,8 @@ class GpuRenderer:
         rows = np.concatenate([(queries.positions - self._box.corner) / self._box.side, queries.outgoing], axis=1)
         normals = self._prepared.surface.normals(queries.positions, queries.outgoing, self._normals)
         placed = KernelQueries._make(self._source.for_kernel(queries))
-        return _Placed(first, rows.astype(np.float32), normals.astype(np.float32), placed)
+        offsets = resampling_offsets(self._seed, queries.keys)[:, None]
+        return _Placed(first, rows.astype(np.float32), normals.astype(np.float32), placed, offsets)
 
     def _trace_block(self) -> GpuBatch:
         placed = self._pending.popleft().result()
@@ -121,19 +129,35 @@ class GpuRenderer:
         first_path = kernel_array(torch.zeros(self._size, dtype=torch.int64, device=_device()))
         self._scene.draw(queries, first_path, self._seed, exits)
         light = torch.where(self._scattered[..., None] == 0, 0.0, self._throughput)
-        rays = torch.cat(self._kept(light), dim=-1).flatten(1)
+        rays = torch.cat(self._kept(light, placed.offsets), dim=-1).flatten(1)
         self._next_query = placed.first + self._size
         self._walks += self._size * self._settings.exits
         self._rows += self._size
         numbers = torch.arange(placed.first, placed.first + self._size, device=_device())
         return GpuBatch(torch.cat((rows, rays), dim=1), numbers, normals)
 
-    def _kept(self, light: Tensor) -> tuple[Tensor, Tensor]:
+    def _kept(self, light: Tensor, offsets: Array) -> tuple[Tensor, Tensor]:
         """Directions and throughput [B,K,3] of the rays to learn from."""
         if self._settings.kept == self._settings.exits:
             return self._directions, light
-        offsets = torch.rand((self._size, 1), dtype=torch.float64, device=_device())
-        return resampled(self._directions, light, self._settings.kept, offsets)
+        return resampled(self._directions, light, self._settings.kept, _to_gpu(offsets))
+
+
+def compiled_renderer(
+    scene: Scene,
+    prepared: PreparedScene,
+    box: Box,
+    settings: StreamSettings,
+    seed: int,
+    batch: int,
+    state: dict[str, int] | None,
+) -> GpuRenderer:
+    """A renderer whose kernels are compiled."""
+    trial = GpuRenderer(prepared, box, replace(settings, queries_a_batch=1), seed, 1, scene.normals)
+    trial.start()
+    trial.draw(1, np.random.default_rng(0))
+    trial.stop()
+    return GpuRenderer(prepared, box, settings, seed, batch, scene.normals, state)
 
 
 def _device() -> str:
@@ -142,4 +166,4 @@ def _device() -> str:
 
 
 def _to_gpu(array: NDArray[np.generic]) -> Tensor:
-    return torch.from_numpy(np.ascontiguousarray(array)).to(_device(), non_blocking=True)
+    return torch.from_numpy(np.ascontiguousarray(array)).to(_device())

@@ -23,7 +23,7 @@ def _hilbert_indices(directions: Any, index: Any) -> None:
 def resampled(directions: Tensor, throughput: Tensor, kept: int, offsets: Tensor) -> tuple[Tensor, Tensor]:
     """Directions and throughput [N,K,3] of K = `kept` rays that represent those [N,P,3] of P walks.
 
-    offsets float64 [N,1], uniform in [0, 1), decide all draws. Queries whose walks carry no light keep any of them.
+    offsets float64 [N,1], uniform in [0, 1), decide all draws. A query whose walks carry no light keeps any of them.
     """
     walks = directions.shape[1]
     index = torch.empty(throughput.shape[:2], dtype=torch.int32, device=directions.device)
@@ -35,7 +35,9 @@ def resampled(directions: Tensor, throughput: Tensor, kept: int, offsets: Tensor
     total = cumulative[:, -1:]
     strata = (offsets + torch.arange(kept, device=light.device)) * (total / kept)
     chosen = order.gather(1, torch.searchsorted(cumulative, strata, right=True).clamp_(max=walks - 1))
-    scale = total / (walks * light.gather(1, chosen).clamp(min=1e-300))
+    drawn = light.gather(1, chosen)
+    # Rounding may draw the last walk although it is dark.
+    scale = torch.where(drawn > 0.0, total / (walks * drawn), 0.0)
     rows = chosen[..., None].expand(-1, -1, 3)
     return directions.gather(1, rows), throughput.gather(1, rows) * scale[..., None].float()
 

@@ -36,9 +36,14 @@ def resampled(directions: Array, throughput: Array, kept: int, seed: int, keys: 
     """
     rays = np.zeros((2, len(throughput), kept, 3))
     rays[0, ..., 2] = 1.0
-    offsets = uniforms((_STREAM, seed, keys), 1)[:, 0]
+    offsets = resampling_offsets(seed, keys)
     in_threads(resample_rows, len(throughput), directions, throughput, offsets, rays[0], rays[1], least=16)
     return rays[0], rays[1]
+
+
+def resampling_offsets(seed: int, keys: NDArray[Any]) -> Array:
+    """The random number [N] in [0, 1) that decides all draws of each query."""
+    return np.asarray(uniforms((_STREAM, seed, keys), 1)[:, 0])
 
 
 @compiled(nogil=True)

@@ -62,7 +62,7 @@ class Drawn:
 
 def test_rows_are_those_of_the_processor_from_any_number_on(scene: Scene) -> None:
     prepared, box = prepare(scene), box_of(scene)
-    renderer = GpuRenderer(prepared, box, STREAM, 4, "face", {"next_query": 64, "walks": 5, "rows": 6})
+    renderer = GpuRenderer(prepared, box, STREAM, 4, 16, "face", {"next_query": 64, "walks": 5, "rows": 6})
     renderer.start()
     parts = [renderer.draw(16, np.random.default_rng(0)) for _ in range(4)]
     renderer.stop()
@@ -108,8 +108,9 @@ def test_steps_are_those_of_the_processor(scene: Scene, monkeypatch: pytest.Monk
     settings = replace(GPU_LEARNING, batch=32, bfloat16=False, coarse_steps=0)
     here, there = batch_of(scene)
     learners: list[Any] = [Learner(network_of(scene), settings), GpuLearner(network_of(scene), settings)]
-    lattice = learners[1]._uniform(32)
-    monkeypatch.setattr(learners[1], "_uniform", lambda queries: lattice)
+    learners[1]._turns.uniform_()
+    lattice = learners[1]._uniform()
+    monkeypatch.setattr(learners[1], "_uniform", lambda: lattice)
     monkeypatch.setattr("prt_bake.trainer.learner.rotated_lattice", lambda *_: numpy_of(lattice))
     generator = np.random.default_rng(0)
     for share in np.linspace(0.1, 0.9, 8):
@@ -120,7 +121,9 @@ def test_steps_are_those_of_the_processor(scene: Scene, monkeypatch: pytest.Monk
 
 
 def test_uniform_directions_are_uniform(scene: Scene) -> None:
-    directions = numpy_of(GpuLearner(network_of(scene), GPU_LEARNING)._uniform(20_000))
+    learner = GpuLearner(network_of(scene), replace(GPU_LEARNING, batch=20_000))
+    learner._turns.uniform_()
+    directions = numpy_of(learner._uniform())
     assert_allclose(np.linalg.norm(directions, axis=2), 1.0, atol=1e-5)
     one = directions[:, 0]
     assert_allclose(one.mean(axis=0), 0.0, atol=4.5 / np.sqrt(3 * 20_000))
@@ -129,7 +132,7 @@ def test_uniform_directions_are_uniform(scene: Scene) -> None:
     assert_allclose(np.einsum("qc,qc->q", one, directions[:, 5]), one[0] @ directions[0, 5], atol=1e-5)
 
 
-def test_a_loss_that_is_not_finite_stops_the_training_with_its_query_and_keeps_the_weights(scene: Scene) -> None:
+def test_a_loss_that_is_not_finite_stops_the_training_with_its_query_and_leaves_finite_weights(scene: Scene) -> None:
     learner = GpuLearner(network_of(scene), replace(GPU_LEARNING, batch=32))
     _here, batch = batch_of(scene)
     broken = GpuBatch(batch.rows.clone(), batch.numbers + 100, batch.normals)
@@ -145,6 +148,60 @@ def test_a_loss_that_is_not_finite_stops_the_training_with_its_query_and_keeps_t
     with pytest.raises(QueryError, match="is not finite, caused by query 105"):
         learn_on()
     assert all(weights.isfinite().all() for weights in learner.model.parameters())
+
+
+def test_a_loss_of_the_last_steps_that_is_not_finite_is_seen_at_the_end(scene: Scene) -> None:
+    learner = GpuLearner(network_of(scene), replace(GPU_LEARNING, batch=32))
+    _here, batch = batch_of(scene)
+    broken = GpuBatch(batch.rows.clone(), batch.numbers, batch.normals)
+    broken.rows[:, -1] = torch.nan
+    for rows in (batch, batch, broken):
+        learner.learn(Drawn(), rows, 0.1, np.random.default_rng(0))
+    with pytest.raises(QueryError, match="is not finite, caused by query 31"):
+        learner.check(Drawn())
+
+
+@pytest.mark.parametrize("batch", [7, 50])
+def test_blocks_hold_whole_batches_and_no_row_is_left_out(scene: Scene, batch: int) -> None:
+    stream = replace(STREAM, queries_a_batch=20, exits=1, kept=1)
+    renderer = GpuRenderer(prepare(scene), box_of(scene), stream, 4, batch, "face")
+    renderer.start()
+    numbers = np.concatenate([numpy_of(renderer.draw(batch, np.random.default_rng(0)).numbers) for _ in range(4)])
+    renderer.stop()
+    assert_array_equal(numbers, np.arange(4 * batch))
+
+
+def test_rotations_depend_on_the_seed_and_are_new_at_each_step(scene: Scene) -> None:
+    _here, batch = batch_of(scene)
+    drawn = []
+    for seed in (0, 0, 1):
+        learner = GpuLearner(network_of(scene), replace(GPU_LEARNING, batch=32))
+        generator = np.random.default_rng(seed)
+        for _ in range(2):
+            learner.learn(Drawn(), batch, 0.1, generator)
+            drawn.append(numpy_of(learner._turns).copy())
+    assert_array_equal(drawn[:2], drawn[2:4])
+    assert not np.isclose(drawn[0], drawn[1]).any(axis=1).all()
+    assert np.abs(drawn[0] - drawn[4]).max() > 0.1
+
+
+def test_dark_walks_are_never_kept_with_a_weight_that_is_not_finite() -> None:
+    throughput = torch.zeros((1, 3, 3), device=DEVICE)
+    throughput[0, 0] = 0.3
+    directions = torch.eye(3, device=DEVICE)[None]
+    offsets = torch.full((1, 1), 1.0, dtype=torch.float64, device=DEVICE)
+    _kept, light = resampled(directions, throughput, 2, offsets)
+    assert light.isfinite().all()
+
+
+def test_the_resulting_network_needs_no_gpu(scene: Scene) -> None:
+    learner = GpuLearner(network_of(scene), GPU_LEARNING)
+    assert learner.model.view is not None
+    learner.model.view.use_kernels = True
+    result = learner.result().cpu()
+    assert result.view is not None
+    assert not result.view.use_kernels
+    assert learner.model.view.use_kernels
 
 
 @pytest.mark.parametrize("kinds", [(Learner, GpuLearner), (GpuLearner, Learner)])
