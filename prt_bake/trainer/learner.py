@@ -197,7 +197,7 @@ class Learner:
             # A run on a GPU keeps its rate there.
             group.update(lr=self.settings.rate, capturable=False, foreach=None)
         self.step = int(state["step"])
-        self.bfloat16 = self.bfloat16 and bool(state.get("bfloat16", True))
+        self.bfloat16 = bool(state.get("bfloat16", self.bfloat16))
 
     def _groups(self) -> list[dict[str, Any]]:
         """The groups of weights of all optimisers."""

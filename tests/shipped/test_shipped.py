@@ -3,7 +3,6 @@
 import json
 
 import numpy as np
-import pytest
 
 from formats.image import read_image
 from formats.scene import read_scene
@@ -29,7 +28,7 @@ def test_the_model_was_trained_on_the_shipped_scene():
     network = load_model(demonstration.MODEL)
     scene = read_scene(demonstration.SHIPPED / "spot.toml")
     assert network.metadata["scene_hash"] == scene.content_hash
-    assert network.metadata["training"]["seconds"] == pytest.approx(600, abs=5)
+    assert network.metadata["training"]["relative_rmse"]["coefficients"] < 0.05
     assert demonstration.MODEL.stat().st_size / 1024 <= 660  # including the occupancy and feature grids
 
 
