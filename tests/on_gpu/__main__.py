@@ -15,7 +15,7 @@ from tests.on_gpu import walks
 
 MOST_DIFFERENT, ROUNDING = 1e-3, 1e-6
 LARGEST_MEAN_SQUARE, LARGEST_Z = 1.25, 6.0
-"""Of some 3,400 z-scores, of which those of a query are from the same walks: right walks exceed them once in 10⁵ runs."""
+"""Of some 3,400 z-scores, those of a query from the same walks: right walks exceed them once in 10⁵ runs."""
 TRAINED = "dragon's stand-in"
 
 
