@@ -42,6 +42,7 @@ bench: .venv/installed-dev
 	$(BIN)/python -m tests.bench.network_speed
 	$(BIN)/python -m tests.bench.detail_in_light
 	$(BIN)/python -m tests.bench.training --out bench/training.json
+	$(BIN)/python -m tests.bench.same_rows scenes/grape/grape.toml
 	$(BIN)/python -m tests.bench.smooth_training
 	$(BIN)/python -m tests.bench.noise_of_a_walk
 	$(BIN)/python -m tests.bench.importance

@@ -1,0 +1,124 @@
+"""Learners and networks compared on the same path-traced rows: python -m tests.bench.same_rows SCENE.toml [VARIANT …].
+
+Every variant takes the same steps on the same rows, each of which is used once. Prints the error of a_lm over the
+surface without the reference's noise, by band and by channel. Half a minute of paths in a clear object, ten minutes in
+a dense one; then one to four minutes for each variant.
+"""
+
+import argparse
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from formats.scene import Scene, read_scene
+from prt_bake.network.bssrdf import PRESETS, NeuralBSSRDF
+from prt_bake.tracer.prepared import prepare
+from prt_bake.trainer.interior import interior_of, with_fitting_grid
+from prt_bake.trainer.learner import Learner, LearningSettings
+from prt_bake.trainer.samples.rows import Batch, ExitTracer, StreamSettings
+from prt_bake.trainer.train import _settings_for
+from prt_bake.trainer.training_data import box_of
+from prt_bake.trainer.validation import HeldOutCoefficients, hold_out_coefficients, network_coefficients
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Settings that differ from the defaults."""
+
+    learning: dict[str, Any] = field(default_factory=dict)
+    network: dict[str, Any] = field(default_factory=dict)
+    share: float = 1.0
+    """Of the rows."""
+
+
+VARIANTS = {
+    "default": Variant(),
+    "AdamW alone": Variant({"muon": False}),
+    "half of the rows": Variant(share=0.5),
+    "all rays from the first step": Variant({"coarse_steps": 0}),
+    "AdamW alone, all rays from the first step": Variant({"coarse_steps": 0, "muon": False}),
+    "rate 0.008": Variant({"rate": 8e-3}),
+    "weight decay 0.3": Variant({"decay": 0.3}),
+    "batch 256": Variant({"batch": 256}),
+    "grid of 64 nodes": Variant(network={"grid_places": 64}),
+    "24 samples of the ray": Variant(network={"ray_samples": 24}),
+    "8 places of the shape": Variant(network={"shape_places": 8}),
+    "width 256": Variant(network={"width": 256}),
+    "spread of G 2.4 (positions)": Variant(network={"position_spread": 2.4}),
+}
+
+
+def main() -> None:
+    """Trace the rows and the reference, and print a line for each variant."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("variants", nargs="*", default=list(VARIANTS), help=f"of {', '.join(VARIANTS)}")
+    parser.add_argument("--queries", type=int, default=614_400)
+    parser.add_argument("--walks", type=int, default=8192, help="of each of the 1,000 queries of the reference")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    scene = read_scene(arguments.scene)
+    reference = hold_out_coefficients(scene, 1000, arguments.walks, 777, 512)
+    rows = traced_rows(scene, arguments.queries)
+    for name in arguments.variants:
+        begun = time.perf_counter()
+        network, steps = trained(scene, rows, reference.scale(), VARIANTS[name])
+        seconds = time.perf_counter() - begun
+        print(f"{name:42s} {steps} steps, {seconds:4.0f} s, {errors(network, reference)}", flush=True)
+
+
+def traced_rows(scene: Scene, count: int) -> Array:
+    """Rows of `count` queries with 32 walks each, represented by 24 rays."""
+    tracer = ExitTracer(prepare(scene), box_of(scene), StreamSettings(exits=32, kept=24), 0)
+    block = 4096
+    blocks = [tracer.render(first, min(block, count - first)).rows for first in range(0, count, block)]
+    return np.concatenate(blocks)
+
+
+def trained(scene: Scene, rows: Array, scale: float, variant: Variant) -> tuple[NeuralBSSRDF, int]:
+    """The network of a variant after one pass over its rows, and its steps."""
+    box, interior = box_of(scene), interior_of(scene, box_of(scene))
+    settings = replace(_settings_for(PRESETS["measured"], scene), **variant.network)
+    if "grid_places" not in variant.network:
+        settings = with_fitting_grid(settings, interior)
+    network = NeuralBSSRDF(settings, box.corner, box.side, scale, {"normals": scene.normals}, interior)
+    learner = Learner(network.on(scene.mesh), replace(LearningSettings(bfloat16=False), **variant.learning))
+    batch, generator = learner.settings.batch, np.random.default_rng(0)
+    steps = int(variant.share * len(rows)) // batch
+    for step in range(steps):
+        some = rows[step * batch : (step + 1) * batch]
+        learner.learn(_Rows(), Batch(some, np.arange(batch)), step / steps, generator)  # type: ignore[arg-type]
+    return learner.result(), steps
+
+
+class _Rows:
+    """All that a learner asks a source of rows."""
+
+    exits = True
+
+    def describe(self, number: int) -> str:
+        return f"row {number}"
+
+
+def errors(network: NeuralBSSRDF, reference: HeldOutCoefficients) -> str:
+    """The relative RMSE of a_lm: of all, of bands 0, 1 and 2, and of the channels."""
+    found = network_coefficients(network, reference.positions, reference.outgoing)
+    noise = reference.standard_error**2
+    off, whole = (found - reference.mean) ** 2 - noise, reference.mean**2 - noise
+
+    def relative(part: Any) -> str:
+        return f"{np.sqrt(max(0.0, off[part].sum()) / whole[part].sum()):.1%}"
+
+    bands = ", ".join(relative(np.s_[:, first:last]) for first, last in ((0, 1), (1, 4), (4, 9)))
+    channels = ", ".join(relative(np.s_[:, :, channel]) for channel in range(3))
+    return f"a_lm {relative(np.s_[:])}; bands {bands}; channels {channels}"
+
+
+if __name__ == "__main__":
+    main()
