@@ -46,6 +46,7 @@ VARIANTS = {
     "rate 0.008": Variant({"rate": 8e-3}),
     "weight decay 0.3": Variant({"decay": 0.3}),
     "batch 256": Variant({"batch": 256}),
+    "batch 2048": Variant({"batch": 2048}),
     "grid of 64 nodes": Variant(network={"grid_places": 64}),
     "24 samples of the ray": Variant(network={"ray_samples": 24}),
     "8 places of the shape": Variant(network={"shape_places": 8}),
