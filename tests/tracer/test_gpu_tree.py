@@ -100,6 +100,17 @@ def test_no_ray_from_inside_escapes_through_an_edge_or_a_vertex() -> None:
     assert_allclose(distances, np.linalg.norm(targets, axis=1), rtol=1e-6)
 
 
+def test_the_face_that_a_ray_starts_on_is_not_hit_though_the_start_is_behind_it() -> None:
+    positions, faces = scaled(sphere(3))
+    tree, skip = build_tree(positions, faces), np.arange(len(faces))
+    a, b, c = (positions[faces[:, k]].astype(np.float64) for k in range(3))
+    outward = np.cross(b - a, c - a)
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    starts = (a + b + c) / 3.0 - 1e-5 * outward
+    assert (hits(tree, 0, starts, outward, 0.0, np.inf, np.full(len(faces), -1))[0] == skip).all()
+    assert (hits(tree, 0, starts, outward, 0.0, np.inf, skip)[0] == -1).all()
+
+
 def test_every_face_is_in_one_leaf_and_boxes_contain_their_faces() -> None:
     positions, faces = scaled(lumpy(4))
     tree = build_tree(positions, faces)

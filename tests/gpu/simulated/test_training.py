@@ -3,6 +3,7 @@
 from copy import deepcopy
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -58,6 +59,18 @@ class Drawn:
 
     def describe(self, number: int) -> str:
         return f"query {number}"
+
+
+def test_light_that_crosses_unscattered_is_no_part_of_the_rows(tmp_path: Path) -> None:
+    scene = make_scene(tmp_path, lumpy(2), eta=1.3, sigma_t=0.2)
+    prepared, box, stream = prepare(scene), box_of(scene), replace(STREAM, queries_a_batch=16)
+    renderer = GpuRenderer(prepared, box, stream, 4, 16, "face")
+    renderer.start()
+    rows = numpy_of(renderer.draw(16, np.random.default_rng(0)).rows)
+    renderer.stop()
+    expected = ExitTracer(prepared, box, stream, 4).render(0, 16)
+    assert np.mean(expected.rays[..., 3:].any(axis=-1)) < 0.5
+    assert_allclose(rows, expected.rows, atol=2e-5)
 
 
 def test_rows_are_those_of_the_processor_from_any_number_on(scene: Scene) -> None:
@@ -161,14 +174,14 @@ def test_a_loss_of_the_last_steps_that_is_not_finite_is_seen_at_the_end(scene: S
         learner.check(Drawn())
 
 
-@pytest.mark.parametrize("batch", [7, 50])
+@pytest.mark.parametrize("batch", [3, 7])
 def test_blocks_hold_whole_batches_and_no_row_is_left_out(scene: Scene, batch: int) -> None:
-    stream = replace(STREAM, queries_a_batch=20, exits=1, kept=1)
+    stream = replace(STREAM, queries_a_batch=5, exits=1, kept=1)
     renderer = GpuRenderer(prepare(scene), box_of(scene), stream, 4, batch, "face")
     renderer.start()
-    numbers = np.concatenate([numpy_of(renderer.draw(batch, np.random.default_rng(0)).numbers) for _ in range(4)])
+    numbers = np.concatenate([numpy_of(renderer.draw(batch, np.random.default_rng(0)).numbers) for _ in range(6)])
     renderer.stop()
-    assert_array_equal(numbers, np.arange(4 * batch))
+    assert_array_equal(numbers, np.arange(6 * batch))
 
 
 def test_rotations_depend_on_the_seed_and_are_new_at_each_step(scene: Scene) -> None:
@@ -212,8 +225,13 @@ def test_a_run_continues_on_the_other_device(scene: Scene, kinds: tuple[type[Lea
     generator = np.random.default_rng(0)
     for _ in range(3):
         first.learn(Drawn(), batches[kinds[0]], 0.1, generator)
-    second.restore(first.state())
+    state = first.state()
+    for group in (group for values in state["optimizers"] for group in values["param_groups"]):
+        # As a run on a GPU leaves them.
+        group.update(lr=torch.tensor(0.1), capturable=True, foreach=True)
+    second.restore(state)
     assert second.step == 3
+    assert not any(group["capturable"] or torch.is_tensor(group["lr"]) for group in second._groups()) or REAL
     second.learn(Drawn(), batches[kinds[1]], 0.2, generator)
     assert second.step == 4
     assert all(weights.isfinite().all() for weights in second.model.parameters())
