@@ -1,11 +1,16 @@
 """The optimiser of the hidden layers' matrices."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 from numpy.testing import assert_allclose
 
+from formats.errors import ModelError
+from prt_bake.trainer.learner import LearningSettings
 from prt_bake.trainer.muon import Muon, orthogonal
+from tests.trainer.small_training import make_scene, train_small
 
 
 @pytest.mark.parametrize("shape", [(6, 6), (4, 30), (30, 4), (1, 5)])
@@ -38,3 +43,10 @@ def test_decay_is_a_share_of_the_weights_and_weights_without_gradient_stay() -> 
     optimiser.step()
     assert_allclose(weights.detach(), 0.95)
     assert_allclose(other.detach(), 1.0)
+
+
+def test_a_run_is_resumed_with_the_same_optimisers_only(tmp_path: Path) -> None:
+    scene, output = make_scene(tmp_path), tmp_path / "m.pt"
+    train_small(scene, 2, output=output)
+    with pytest.raises(ModelError, match="the run began with muon True, requested is False"):
+        train_small(scene, 4, output=output, resume=True, learning=LearningSettings(batch=64, muon=False))
