@@ -202,7 +202,8 @@ def estimate_coefficients(
 def _sum_on_gpu(
     prepared: PreparedScene, queries: KernelQueries, chunks: NDArray[np.int64], degree: int, seed: int, sums: Array
 ) -> None:
-    from prt_bake.tracer.gpu.exits import MOST_HARMONICS, sum_coefficients
+    from prt_bake.tracer.gpu.exits import sum_coefficients
+    from prt_bake.tracer.gpu.kernels import MOST_HARMONICS
 
     if (degree + 1) ** 2 > MOST_HARMONICS:
         raise QueryError(

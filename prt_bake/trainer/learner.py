@@ -163,7 +163,7 @@ class Learner:
             optimizer.step()
         self.step += 1
         if self.settings.average:
-            self._average()
+            self._average(self._share_of_average(self.step))
         return value
 
     def result(self) -> NeuralBSSRDF:
@@ -236,14 +236,14 @@ class Learner:
         positions: Tensor = self.network.box_min + self.network.box_side * rows[:, POSITION].double()
         return positions
 
-    def _average(self) -> None:
-        """Move the average towards the weights so that step s of t has a weight proportional to about (s/t)^γ."""
-        share = self._share_of_average(self.step)
+    def _average(self, share: float | Tensor) -> None:
+        """Move the average towards the weights by a share of the way."""
         with torch.no_grad():
             for mean, weights in zip(self.model.parameters(), self.network.parameters(), strict=True):
                 mean.lerp_(weights, share)
 
     def _share_of_average(self, step: int) -> float:
+        """The share with which step s of t has a weight proportional to about (s/t)^γ in the average."""
         gamma = 1.0 / self.settings.average_length - 2.0
         return float(1.0 - (1.0 - 1.0 / step) ** (gamma + 1.0))
 

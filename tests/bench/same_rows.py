@@ -91,10 +91,11 @@ def trained(scene: Scene, rows: Array, scale: float, variant: Variant) -> tuple[
     network = NeuralBSSRDF(settings, box.corner, box.side, scale, {"normals": scene.normals}, interior)
     learner = Learner(network.on(scene.mesh), replace(LearningSettings(bfloat16=False), **variant.learning))
     batch, generator = learner.settings.batch, np.random.default_rng(0)
+    source: Any = _Rows()
     steps = int(variant.share * len(rows)) // batch
     for step in range(steps):
         some = rows[step * batch : (step + 1) * batch]
-        learner.learn(_Rows(), Batch(some, np.arange(batch)), step / steps, generator)  # type: ignore[arg-type]
+        learner.learn(source, Batch(some, np.arange(batch)), step / steps, generator)
     return learner.result(), steps
 
 

@@ -2,6 +2,7 @@
 
 import argparse
 import time
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -80,10 +81,7 @@ def print_training(minutes: float) -> None:
 
 def busy() -> str:
     """How busy the GPU's driver says that it is."""
-    try:
-        return f"{torch.cuda.utilization()} %"
-    except Exception:  # needs a library that torch does not always come with
-        return "unknown"
+    return f"{torch.cuda.utilization()} %" if find_spec("pynvml") is not None else "unknown"
 
 
 if __name__ == "__main__":

@@ -100,7 +100,9 @@ def different_walks(scene: Scene, queries: int = 2048, paths: int = 16) -> tuple
 
 def furnace(scene: Scene, queries: int = 4096, paths: int = 64) -> float:
     """Largest deviation from 1 of the throughput of walks that leave a white, index-matched object."""
-    white = replace(scene.parts[0], eta=1.0, medium=replace(scene.parts[0].medium, albedo=np.ones(3)))  # type: ignore[type-var]
+    medium = scene.parts[0].medium
+    assert medium is not None
+    white = replace(scene.parts[0], eta=1.0, medium=replace(medium, albedo=np.ones(3)))
     launch, exits = launcher(prepare(replace(scene, parts=(white,))), queries, paths)
     launch(1)
     return float(np.abs(exits.throughput.copy_to_host() - 1.0).max())

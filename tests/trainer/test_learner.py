@@ -196,7 +196,7 @@ def test_the_average_weights_late_steps_more():
             with torch.no_grad():
                 for parameter in learner.network.parameters():
                     parameter.fill_(float(step))
-            learner._average()
+            learner._average(learner._share_of_average(learner.step))
         lag = 1.0 - float(learner.model.output.bias.detach()[0]) / 400
         assert lag == pytest.approx(length, abs=0.01)
 

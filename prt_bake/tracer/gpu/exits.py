@@ -7,13 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prt_bake.tracer.gpu.device_functions import SIMULATED, cuda
-from prt_bake.tracer.gpu.kernels import MOST_HARMONICS, draw_exits, sum_powers
+from prt_bake.tracer.gpu.kernels import draw_exits, sum_powers
 from prt_bake.tracer.gpu.tree import Tree, build_tree, joined
 from prt_bake.tracer.prepared import KernelQueries, PreparedScene
 from prt_bake.tracer.surface.boundary import FIRST_FACE, TREE, Boundary
 from prt_bake.tracer.volume.media import Media
-
-__all__ = ["MOST_HARMONICS", "SIMULATED", "Exits", "SceneOnGpu", "new_exits", "on_gpu", "sum_coefficients"]
 
 THREADS = 128
 _BLOCKS_PER_MULTIPROCESSOR = 4
@@ -39,11 +37,11 @@ class SceneOnGpu:
         tree, roots = _trees(prepared)
         parts = prepared.boundary.parts.copy()
         parts[:, TREE] = roots
-        on_gpu = {name: _copied(value) for name, value in prepared.boundary._asdict().items()}
+        tables = {name: _copied(value) for name, value in prepared.boundary._asdict().items()}
         # Rays through the tree are faster on a GPU than lists of nearby faces, whose lengths differ between threads.
         near = cuda.to_device(np.zeros(0, np.int32))
-        on_gpu.update(intersect=Tree._make(map(_copied, tree)), scene=0, parts=_copied(parts), near=near)
-        self.boundary = Boundary(**on_gpu)
+        tables.update(intersect=Tree._make(map(_copied, tree)), scene=0, parts=_copied(parts), near=near)
+        self.boundary = Boundary(**tables)
         self.media = Media._make(map(_copied, prepared.medium))
 
     def draw(self, queries: KernelQueries, first_path: Any, seed: int, exits: Exits) -> None:

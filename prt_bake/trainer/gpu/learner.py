@@ -144,9 +144,7 @@ class GpuLearner(Learner):
         faulty = torch.where(losses.detach().isfinite(), _NONE, self._batch.numbers).max()
         self._faulty.copy_(torch.maximum(self._faulty, faulty))
         if self.settings.average:
-            with torch.no_grad():
-                for mean, weights in zip(self.model.parameters(), self.network.parameters(), strict=True):
-                    mean.lerp_(weights, self._average_share)
+            self._average(self._average_share)
 
     def _uniform(self) -> Tensor:
         """A randomly rotated lattice [Q,S,3] for each query (Shoemake 1992, as `prt_bake.mathematics.directions`)."""

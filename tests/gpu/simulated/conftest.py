@@ -18,7 +18,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(autouse=True)
 def few_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few simulated threads."""
-    from prt_bake.tracer.gpu import exits
+    from prt_bake.tracer.gpu import device_functions, exits
 
-    if exits.SIMULATED:
+    if device_functions.SIMULATED:
         monkeypatch.setattr(exits, "THREADS", 4)

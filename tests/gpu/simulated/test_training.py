@@ -61,6 +61,9 @@ class Drawn:
         return f"query {number}"
 
 
+DRAWN: Any = Drawn()
+
+
 def test_light_that_crosses_unscattered_is_no_part_of_the_rows(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, lumpy(2), eta=1.3, sigma_t=0.2)
     prepared, box, stream = prepare(scene), box_of(scene), replace(STREAM, queries_a_batch=16)
@@ -128,7 +131,7 @@ def test_steps_are_those_of_the_processor(scene: Scene, monkeypatch: pytest.Monk
     generator = np.random.default_rng(0)
     for share in np.linspace(0.1, 0.9, 8):
         for learner, batch in zip(learners, (here, there), strict=True):
-            learner.learn(Drawn(), batch, float(share), generator)
+            learner.learn(DRAWN, batch, float(share), generator)
     for name, expected in learners[0].model.state_dict().items():
         assert_allclose(numpy_of(learners[1].model.state_dict()[name]), numpy_of(expected), atol=2e-4, err_msg=name)
 
@@ -151,12 +154,12 @@ def test_a_loss_that_is_not_finite_stops_the_training_with_its_query_and_leaves_
     broken = GpuBatch(batch.rows.clone(), batch.numbers + 100, batch.normals)
     broken.rows[5, -1] = torch.nan
     generator = np.random.default_rng(0)
-    learner.learn(Drawn(), batch, 0.1, generator)
-    learner.learn(Drawn(), broken, 0.1, generator)  # type: ignore[arg-type]
+    learner.learn(DRAWN, batch, 0.1, generator)
+    learner.learn(DRAWN, broken, 0.1, generator)
 
     def learn_on() -> None:
         for _ in range(64):
-            learner.learn(Drawn(), batch, 0.1, generator)
+            learner.learn(DRAWN, batch, 0.1, generator)
 
     with pytest.raises(QueryError, match="is not finite, caused by query 105"):
         learn_on()
@@ -169,9 +172,9 @@ def test_a_loss_of_the_last_steps_that_is_not_finite_is_seen_at_the_end(scene: S
     broken = GpuBatch(batch.rows.clone(), batch.numbers, batch.normals)
     broken.rows[:, -1] = torch.nan
     for rows in (batch, batch, broken):
-        learner.learn(Drawn(), rows, 0.1, np.random.default_rng(0))
+        learner.learn(DRAWN, rows, 0.1, np.random.default_rng(0))
     with pytest.raises(QueryError, match="is not finite, caused by query 31"):
-        learner.check(Drawn())
+        learner.check(DRAWN)
 
 
 @pytest.mark.parametrize("batch", [3, 7])
@@ -191,7 +194,7 @@ def test_rotations_depend_on_the_seed_and_are_new_at_each_step(scene: Scene) -> 
         learner = GpuLearner(network_of(scene), replace(GPU_LEARNING, batch=32))
         generator = np.random.default_rng(seed)
         for _ in range(2):
-            learner.learn(Drawn(), batch, 0.1, generator)
+            learner.learn(DRAWN, batch, 0.1, generator)
             drawn.append(numpy_of(learner._turns).copy())
     assert_array_equal(drawn[:2], drawn[2:4])
     assert not np.isclose(drawn[0], drawn[1]).any(axis=1).all()
@@ -224,7 +227,7 @@ def test_a_run_continues_on_the_other_device(scene: Scene, kinds: tuple[type[Lea
     first, second = (kind(network_of(scene), settings) for kind in kinds)
     generator = np.random.default_rng(0)
     for _ in range(3):
-        first.learn(Drawn(), batches[kinds[0]], 0.1, generator)
+        first.learn(DRAWN, batches[kinds[0]], 0.1, generator)
     state = first.state()
     for group in (group for values in state["optimizers"] for group in values["param_groups"]):
         # As a run on a GPU leaves them.
@@ -232,6 +235,6 @@ def test_a_run_continues_on_the_other_device(scene: Scene, kinds: tuple[type[Lea
     second.restore(state)
     assert second.step == 3
     assert not any(group["capturable"] or torch.is_tensor(group["lr"]) for group in second._groups()) or REAL
-    second.learn(Drawn(), batches[kinds[1]], 0.2, generator)
+    second.learn(DRAWN, batches[kinds[1]], 0.2, generator)
     assert second.step == 4
     assert all(weights.isfinite().all() for weights in second.model.parameters())
