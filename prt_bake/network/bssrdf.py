@@ -45,8 +45,8 @@ __all__ = ["PRESETS", "NetworkSettings", "NeuralBSSRDF", "load_model", "save_mod
 
 FORMAT = "prtbake model"
 FORMAT_VERSION = 1
-INTERIOR = "interior"
-"""Name of the checkpoint's tensor that holds the interior's grid."""
+INTERIOR, INNER = "interior", "inner"
+"""Names of the checkpoint's tensors that hold the interior's grids, and the meshes inside."""
 _METADATA: Mapping[str, Check] = {
     "up": one_of("y", "z"),
     "unit": TEXT,
@@ -122,6 +122,8 @@ def save_model(network: NeuralBSSRDF, path: str | Path) -> None:
     tensors = {name: _smallest(tensor) for name, tensor in tensors.items()}
     if network.view is not None:
         tensors[INTERIOR] = network.view.interior.packed()
+        if network.view.interior.inner:
+            tensors[INNER] = network.view.interior.packed_inner()
     write_checkpoint(path, json.dumps(head), tensors)
 
 
@@ -161,7 +163,7 @@ def load_model(path: str | Path, device: str = "cpu", *, mesh: Mesh | None = Non
                 "or train one"
             )
         _check_metadata(head["metadata"])
-        packed = tensors.pop(INTERIOR, None)
+        packed, inner = tensors.pop(INTERIOR, None), tensors.pop(INNER, None)
         settings = NetworkSettings.from_json(head["settings"])
         _check_size(settings, sum(tensor.numel() for tensor in tensors.values()))
         network = NeuralBSSRDF(
@@ -170,8 +172,9 @@ def load_model(path: str | Path, device: str = "cpu", *, mesh: Mesh | None = Non
             head["box_side"],
             head["output_scale"],
             head["metadata"],
-            None if packed is None else Interior.unpacked(head["interior"], packed),
+            None if packed is None else Interior.unpacked(head["interior"], packed, inner),
         )
+        _check_bodies(network)
     except ModelError as fault:
         raise fault if str(path) in str(fault) else ModelError(f"{path}: {fault}") from None
     except (KeyError, TypeError, ValueError, AttributeError) as fault:
@@ -199,6 +202,18 @@ def _check_metadata(metadata: dict[str, Any]) -> None:
         raise ModelError(f"{fault}; copy the file again, or train the model again")
     for fault in value_faults(training.get("relative_rmse", {}), _ERRORS, "metadata.training.relative_rmse."):
         raise ModelError(f"{fault}; copy the file again, or train the model again")
+
+
+def _check_bodies(network: NeuralBSSRDF) -> None:
+    """Refuse a network that follows view rays through bodies which its file does not have."""
+    if network.view is None or not network.settings.ray_turns:
+        return
+    interior = network.view.interior
+    if len(interior.attenuation) > 1 and not interior.inner:
+        raise ModelError(
+            "it follows view rays through what the object contains, and its file lacks these meshes: "
+            "an older version wrote it; train the model again"
+        )
 
 
 def _check_size(settings: NetworkSettings, stored: int) -> None:

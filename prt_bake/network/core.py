@@ -19,6 +19,7 @@ from prt_bake.geometry.surface import Surface
 from prt_bake.network.features.fourier import encode_directions, fourier_features
 from prt_bake.network.features.interior import Interior
 from prt_bake.network.features.view_features import ViewEncoding, ViewFeatures
+from prt_bake.network.features.view_path import Body, ViewPath, path_through
 from prt_bake.network.lobes import LOBE_PARAMETERS, Lobes, decode_lobes, evaluate_lobes
 from prt_bake.network.settings import EXIT_INPUTS, NetworkSettings
 from prt_bake.network.surface_check import OwnSurface
@@ -90,6 +91,8 @@ class NetworkCore(nn.Module):
         self._initialise(generator)
         self.surface: Surface | None = None
         """The object's mesh, which gives exact normals: see `on`."""
+        self.path: ViewPath | None = None
+        """Finds the paths of view rays in the meshes of a clear object: see `on`."""
         self._warned = [False]
         """Whether `warn_without_mesh` has warned; shared with the copies that share the weights."""
         self.band: int | None = None
@@ -179,7 +182,8 @@ class NetworkCore(nn.Module):
         """The part of `view_features` that does not depend on the weights; None for networks without an interior."""
         if self.view is None:
             return None
-        return self.view.encode(self.relative_positions(positions), outgoing, self.mesh_normals(positions, outgoing))
+        normals = self.mesh_normals(positions, outgoing)
+        return self.view.encode(self.relative_positions(positions), outgoing, normals, self.path)
 
     def refuse_foreign(self, mesh: Mesh) -> None:
         """Raise QueryError if most vertices of the mesh are off the surface that the network was trained on, and warn
@@ -191,15 +195,27 @@ class NetworkCore(nn.Module):
     def on(self, mesh: Mesh) -> Self:
         """The same network, weights shared, that takes its normals from the object's mesh.
 
-        Without a mesh the normals come from a coarse grid, which rounds edges off: the first evaluation warns. A
-        position on an edge belongs to the face that faces ωo most (`prt_bake.geometry.surface`). A network without
-        normals is returned unchanged.
+        In a clear object it follows view rays through the mesh, too. Without a mesh the normals come from a coarse
+        grid, which rounds edges off, and view rays are straight: the first evaluation warns. A position on an edge
+        belongs to the face that faces ωo most (`prt_bake.geometry.surface`). A network without normals is returned
+        unchanged.
         """
         if not self.settings.tells_normal or (self.surface is not None and self.surface.mesh is mesh):
             return self
         bound = copy(self)
         bound.surface = Surface(mesh)
+        bound.path = self._path_in(mesh)
         return bound
+
+    def _path_in(self, mesh: Mesh) -> ViewPath | None:
+        """Finds the paths of view rays in the object's mesh; None if they are straight."""
+        if self.view is None or not self.settings.ray_turns:
+            return None
+        positions = (mesh.positions - self.box_min.cpu().numpy()) / self.box_side
+        faces = np.asarray(mesh.faces, np.int64)
+        smooth = self._normals_of_vertices
+        corners = mesh.normals[faces] if smooth else np.repeat(np.asarray(mesh.face_normals)[:, None], 3, axis=1)
+        return path_through(Body(positions, faces, corners), self.view.interior, self.settings)
 
     def up_to(self, degree: int) -> Self:
         """The same network, weights shared, with its lobes limited to the bands up to `degree`.
@@ -222,14 +238,25 @@ class NetworkCore(nn.Module):
                 "double its error; use network.on(mesh), or prt.load_model(path, mesh=mesh)"
             )
 
+    @property
+    def _normals_of_vertices(self) -> bool:
+        return self.metadata.get("normals") == "vertex"
+
     def mesh_normals(self, positions: Tensor, outgoing: Tensor) -> Tensor | None:
         """Unit normals [N,3] of the mesh that `on` was given; None without one."""
         if self.surface is None:
             self.warn_without_mesh()
             return None
-        kind: Literal["face", "vertex"] = "vertex" if self.metadata.get("normals") == "vertex" else "face"
+        kind: Literal["face", "vertex"] = "vertex" if self._normals_of_vertices else "face"
         x, eye = (tensor.detach().double().cpu().numpy() for tensor in (positions, outgoing))
         return torch.from_numpy(self.surface.normals(x, eye, kind)).to(positions.device)
+
+    def packed_paths(self, positions: Tensor, outgoing: Tensor, normals: Tensor) -> Tensor:
+        """The paths of views, found by the processor: `PathSamples.packed`; [N,0] if they are straight."""
+        if self.view is None or self.path is None:
+            return positions[:, :0]
+        x = (positions.double() - self.box_min.to(positions.device)) / self.box_side
+        return self.path(x.float(), self.view.back(outgoing.float(), normals.float())).packed().to(positions.dtype)
 
     def light_features(self, incident: Tensor) -> Tensor:
         """Fourier features [..., 2·light_features] in float32 of directions that only the late layers see."""

@@ -64,7 +64,7 @@ class NetworkSettings:
     tells_normal: bool = False
     """Whether the view ray is refracted at the interface, and the normal is an input."""
     ray_turns: int = 0
-    """Total internal reflections through which a refracted view ray is followed (`features.view_ray`)."""
+    """Interfaces through which a refracted view ray is followed (`features.view_path`). 0: it is straight."""
     lobes: int = 0
     """Narrow lobes in ωi that the trunk predicts for each view (`prt_bake.network.lobes`)."""
     shape_places: int = 0
@@ -258,7 +258,7 @@ PRESETS: dict[str, NetworkSettings] = {
         angle_powers=2,
         ray_samples=12,
         tells_normal=True,
-        ray_turns=4,
+        ray_turns=16,
         lobes=2,
         shape_places=4,
         grid_places=32,

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from prt_bake.geometry.embree import nearest_hit
 from prt_bake.jit.kernel_functions import called_function, inlined_function
 from prt_bake.mathematics.counter import uniform
 from prt_bake.tracer.connect import connection_probability, interface_transport, march, scattering_density
@@ -24,7 +25,6 @@ from prt_bake.tracer.surface.boundary import (
     normal_at,
     sees_sky,
 )
-from prt_bake.tracer.surface.embree import nearest_hit
 from prt_bake.tracer.surface.interface import ROUGH
 from prt_bake.tracer.volume.tracking import attenuate
 from prt_bake.tracer.walk import (

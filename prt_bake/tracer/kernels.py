@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from prt_bake.geometry.embree import new_ray
 from prt_bake.jit.compilation import compiled
 from prt_bake.jit.kernel_functions import called_function, inlined_function
 from prt_bake.mathematics.counter import begin_stream
@@ -21,7 +22,6 @@ from prt_bake.tracer.connect_rough import (
     is_outermost,
 )
 from prt_bake.tracer.surface.boundary import containing_parts
-from prt_bake.tracer.surface.embree import new_ray
 from prt_bake.tracer.surface.interface import MATCHED, ROUGH
 from prt_bake.tracer.volume.media import is_heterogeneous
 from prt_bake.tracer.walk import (

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from prt_bake.geometry.embree import nearest_hit
 from prt_bake.jit.kernel_functions import called_function, inlined_function
 from prt_bake.mathematics.counter import uniform
 from prt_bake.tracer.surface.boundary import facing_normal, normal_at, part_of
-from prt_bake.tracer.surface.embree import nearest_hit
 from prt_bake.tracer.surface.interface import microfacet_transport, refract_at_microfacet
 from prt_bake.tracer.walk import frame
 

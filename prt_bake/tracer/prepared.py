@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.scene import Part, Scene
+from prt_bake.geometry.embree import TriangleScene, intersect_address
 from prt_bake.geometry.nesting import refuse_outside
 from prt_bake.geometry.shells import refuse_ambiguous
 from prt_bake.geometry.surface import Location, Surface
@@ -35,7 +36,6 @@ from prt_bake.tracer.surface.boundary import (
     Boundary,
 )
 from prt_bake.tracer.surface.clearance import clearance_grid, near_faces, open_faces
-from prt_bake.tracer.surface.embree import TriangleScene, intersect_address
 from prt_bake.tracer.surface.interface import MATCHED, ROUGH, SMOOTH
 from prt_bake.tracer.surface.losses import loss_tables, no_losses
 from prt_bake.tracer.volume.media import MAJORANT

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from formats.scene import Medium, Part, Scene
 from prt_bake.geometry.distances import grid_distances
 from prt_bake.network.features.feature_grid import kept_places
+from prt_bake.network.features.inner_bodies import InnerBody, fitting_bodies
 from prt_bake.network.features.interior import LEVELS, REACH, Interior
 from prt_bake.network.features.view_features import interval_edges
 from prt_bake.network.settings import NetworkSettings
@@ -35,13 +36,17 @@ _OPAQUE = 1e3
 """Attenuation per box side of a part that no light enters."""
 
 
-def interior_of(scene: Scene, box: Box) -> Interior:
-    """The interior of a scene: the finest grids, of at most 96³ points per body, that fit into MOST_BYTES."""
+def interior_of(scene: Scene, box: Box, with_meshes: bool = False) -> Interior:
+    """The interior of a scene: the finest grids, of at most 96³ points per body, that fit into MOST_BYTES.
+
+    with_meshes: also the meshes of the bodies inside, through which view rays can be followed.
+    """
     bodies = _bodies(scene.parts)
     meshes = [
         trimesh.Trimesh((part.mesh.positions - box.corner) / box.side, part.mesh.faces, process=True) for part in bodies
     ]
     attenuation = tuple(_attenuation(part, box.side) for part in bodies)
+    inner = _inner(bodies, meshes, scene) if with_meshes else ()
     low, high = np.asarray(meshes[0].bounds, np.float64)
     spacing = _spacing(high - low)
     while True:
@@ -49,7 +54,7 @@ def interior_of(scene: Scene, box: Box) -> Interior:
         corner = 0.5 * (low + high) - 0.5 * (shape - 1) * spacing
         levels = np.stack([_levels(mesh, shape, corner, spacing) for mesh in meshes])
         origin = float(corner[0]), float(corner[1]), float(corner[2])
-        interior = Interior(levels, origin, spacing, attenuation, float(scene.eta))
+        interior = Interior(levels, origin, spacing, attenuation, float(scene.eta), inner)
         size = len(interior.packed())
         if size <= MOST_BYTES:
             return interior
@@ -79,6 +84,14 @@ def _bodies(parts: tuple[Part, ...]) -> list[Part]:
     volumes = [abs(trimesh.Trimesh(part.mesh.positions, part.mesh.faces, process=False).volume) for part in parts]
     inside = sorted(range(1, len(parts)), key=lambda index: -volumes[index])[: MOST_BODIES - 1]
     return [parts[0], *(parts[index] for index in inside)]
+
+
+def _inner(bodies: list[Part], meshes: list[trimesh.Trimesh], scene: Scene) -> tuple[InnerBody, ...]:
+    """The meshes of the bodies after the first. Light does not enter diffuse ones: they bend no rays."""
+    eta = [part.eta if part.diffuse is None else scene.parts[part.parent].eta for part in bodies]
+    return fitting_bodies(
+        [(np.asarray(mesh.vertices), mesh.faces, float(n)) for mesh, n in zip(meshes[1:], eta[1:], strict=True)]
+    )
 
 
 def _attenuation(part: Part, side: float) -> float:

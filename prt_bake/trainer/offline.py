@@ -83,7 +83,7 @@ class SampleFileData:
         order = np.argsort(_uniform(self._samples.keys[chosen]), kind="stable")
         return self._held_out(chosen[order[: learning.held_out_queries]])
 
-    def source(self, learning: LearningSettings, device: str, state: dict[str, int] | None) -> RowSource:
+    def source(self, learning: LearningSettings, network: NeuralBSSRDF, state: dict[str, int] | None) -> RowSource:
         """Passes over the training samples, each in a different order."""
         return FileRows(self._samples, np.flatnonzero(self._split.learning), self.box, self._path, self._seed, state)
 

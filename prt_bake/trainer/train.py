@@ -143,7 +143,7 @@ class _Run:
     ) -> None:
         self.data, self.learning, self.seed = data, learning, seed
         self.scene, box = data.scene, data.box
-        interior = interior_of(self.scene, box) if settings.ray_samples else None
+        interior = interior_of(self.scene, box, settings.ray_turns > 0) if settings.ray_samples else None
         settings = settings if interior is None else with_fitting_grid(settings, interior)
         self.resume_settings = {
             **{f"network {name}": value for name, value in settings.as_json().items()},
@@ -200,7 +200,7 @@ class _Run:
     def learn(self, seconds: float, steps: int | None, output: str | Path | None, progress: Progress | None) -> None:
         """Learn until the end of the run, or until Ctrl-C."""
         device = self.learner.network.frequencies.device.type
-        self.source = self.data.source(self.learning, device, self.source_state)
+        self.source = self.data.source(self.learning, self.learner.network, self.source_state)
         threads_before = torch.get_num_threads()
         threads = self.data.learner_threads(self.learning, device)
         prefetching = 0 if self.synchronous or device != "cpu" else threads

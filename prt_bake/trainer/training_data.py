@@ -31,8 +31,8 @@ class TrainingData(Protocol):
     def reference(self, learning: LearningSettings) -> Reference:
         """The reference of the validation error during the run."""
 
-    def source(self, learning: LearningSettings, device: str, state: dict[str, int] | None) -> RowSource:
-        """The source of training rows, continued from `state` if given."""
+    def source(self, learning: LearningSettings, network: NeuralBSSRDF, state: dict[str, int] | None) -> RowSource:
+        """The source of training rows for the network, continued from `state` if given."""
 
     def learner_threads(self, learning: LearningSettings, device: str) -> int:
         """Threads that the learner may use."""
@@ -62,18 +62,20 @@ class PathTracedData:
         count, walks = learning.held_out_queries, learning.held_out_walks
         return validation_reference(self.scene, self._prepared, count, walks, self._device)
 
-    def source(self, learning: LearningSettings, device: str, state: dict[str, int] | None) -> RowSource:
+    def source(self, learning: LearningSettings, network: NeuralBSSRDF, state: dict[str, int] | None) -> RowSource:
         """A renderer whose kernel is compiled."""
         if self.on_gpu:
             from prt_bake.trainer.gpu.renderer import compiled_renderer
 
+            paths = network.packed_paths
             return compiled_renderer(
-                self.scene, self._prepared, self.box, self._stream, self._seed, learning.batch, state
+                self.scene, self._prepared, self.box, self._stream, self._seed, learning.batch, paths, state
             )
         tracer: RowTracer = row_tracer(self.scene, self._prepared, self.box, self._stream, self._seed)
         tracer.render(0, 1)
         if self._synchronous:
             return AlternatingRenderer(tracer, self._stream, alternating_threads().renderer, self._seed, state)
+        device = network.frequencies.device.type
         threads = concurrent_threads(learning.core_share, device).renderer
         reuse = self._stream.reuse if device == "cpu" else math.inf
         return BackgroundRenderer(tracer, self._stream, threads, _FIRST_FILL * learning.batch, state, reuse)

@@ -91,7 +91,7 @@ def test_packing_keeps_an_interior(levels: np.ndarray) -> None:
     [
         ({"places": [2, 2, 2]}, "places"),
         ({"places": [1, 4000, 4000, 4000]}, "places"),
-        ({"places": [1, 2, 2, 3]}, "holds 8 nodes, expected 12"),
+        ({"places": [1, 2, 2, 3]}, "grids hold 8 bytes, expected 12"),
         ({"spacing": 0.0}, "spacing"),
         ({"corner": [0.0, float("nan"), 0.0]}, "finite"),
         ({"attenuation": [-1.0]}, "attenuation"),

@@ -22,7 +22,6 @@ from prt_bake.trainer.objective import LobeTerms, exit_loss
 from prt_bake.trainer.samples.rows import Batch
 from prt_bake.trainer.train import train
 from tests.network import WITHOUT_MESH
-from tests.network.test_view_ray import cube
 from tests.shapes import ball
 from tests.tracer.scenes import make_scene
 from tests.trainer import small_training
@@ -104,14 +103,6 @@ def test_rays_leave_a_ball_by_snells_law(eta: float, turns: int) -> None:
     error = np.degrees(np.arccos(np.clip(np.sum(found * expected, axis=1), -1.0, 1.0)))
     assert np.median(error) < 1.5
     assert np.mean(error < 6.0) > 0.9
-
-
-def test_a_reflected_ray_leaves_along_its_last_segment() -> None:
-    """In a cube of index 1.5 a wall reflects a ray at 53°; the bottom transmits it at 37°."""
-    x, eye = torch.tensor([[0.7, 0.5, 1.0]]), torch.tensor([[-0.9, 0.0, (1.0 - 0.81) ** 0.5]])
-    view = ViewFeatures(replace(LOBED, ray_turns=4), torch.zeros((LOBED.features, 6)), cube(0.5, 1.5))
-    found = view(x, eye, torch.tensor([[0.0, 0.0, 1.0]]))[:, -EXIT_INPUTS:]
-    torch.testing.assert_close(found, -eye * torch.tensor([-1.0, 1.0, 1.0]), atol=0.03, rtol=0.0)
 
 
 def test_initial_lobes_are_nearly_alike_and_depend_on_the_seed() -> None:

@@ -8,9 +8,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from formats.mesh import Mesh
+from prt_bake.geometry import embree
 from prt_bake.tracer.gpu.traversal import LEVELS, RAY_SIZE, nearest_hit
 from prt_bake.tracer.gpu.tree import Tree, build_tree, joined
-from prt_bake.tracer.surface import embree
 from tests.tracer.scenes import lumpy, slab, sphere, unit_directions
 
 

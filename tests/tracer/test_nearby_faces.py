@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numba import njit
 
+from prt_bake.geometry.embree import nearest_hit, new_ray
 from prt_bake.tracer.prepared import prepare
-from prt_bake.tracer.surface.embree import nearest_hit, new_ray
 from prt_bake.tracer.surface.nearby_faces import nearby_hit
 from tests.tracer.scenes import lumpy, make_scene, moved, slab, sphere, unit_directions
 

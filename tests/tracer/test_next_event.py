@@ -11,6 +11,7 @@ import pytest
 from numba import njit
 from scipy.integrate import quad
 
+from prt_bake.geometry.embree import new_ray
 from prt_bake.mathematics.counter import begin_stream
 from prt_bake.tracer.next_event import (
     boundary_normal,
@@ -20,7 +21,6 @@ from prt_bake.tracer.next_event import (
     sample_next_event,
 )
 from prt_bake.tracer.prepared import prepare
-from prt_bake.tracer.surface.embree import new_ray
 from tests.mathematics.sampling import SAMPLES, SphereCells, assert_counts_follow
 from tests.tracer.scenes import lumpy, make_scene, sphere, unit_directions
 

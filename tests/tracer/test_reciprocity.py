@@ -18,12 +18,12 @@ from numba import njit
 
 from formats.mesh import Mesh, build_mesh
 from formats.scene import Scene
+from prt_bake.geometry.embree import new_ray
 from prt_bake.mathematics.counter import begin_stream
 from prt_bake.tracer.kernels import sample_event
 from prt_bake.tracer.light_samples import sample_exits
 from prt_bake.tracer.prepared import prepare
 from prt_bake.tracer.surface.boundary import next_face
-from prt_bake.tracer.surface.embree import new_ray
 from prt_bake.tracer.walk import (
     COUNTS_SIZE,
     DIRECTION,

@@ -6,7 +6,6 @@ corner.
 """
 
 import hashlib
-import lzma
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +15,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from formats.errors import ModelError
+from prt_bake.network.features.inner_bodies import InnerBody, packed_bodies, unpacked_bodies
+from prt_bake.network.features.lzma_bytes import packed_bytes, unpacked_bytes
 
 LEVELS = 15
 REACH = 3.0
@@ -23,7 +24,6 @@ REACH = 3.0
 MAX_NODES = 1 << 22
 MAX_EXTENT = 5.0
 """Most box sides that the grid covers along an axis; it reaches little beyond the box. Also the largest eta."""
-_LZMA = ({"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME},)
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,7 @@ class Interior:
         spacing: distance of the grid's nodes.
         attenuation: that of each body's medium, per box side, without light that is scattered forward.
         eta: index of refraction inside relative to outside.
+        inner: meshes of the bodies after the first, where view rays are followed through them; else empty.
     """
 
     levels: NDArray[np.int8]
@@ -44,6 +45,7 @@ class Interior:
     spacing: float
     attenuation: tuple[float, ...]
     eta: float
+    inner: tuple[InnerBody, ...] = ()
 
     def __post_init__(self) -> None:
         levels = np.ascontiguousarray(self.levels, np.int8)
@@ -66,50 +68,54 @@ class Interior:
                 f"found {list(self.attenuation)}"
             )
 
+        if self.inner and len(self.inner) != grid[0] - 1:
+            raise ModelError(f"interior: {grid[0]} bodies need {grid[0] - 1} meshes inside, found {len(self.inner)}")
+
     @property
     def content_hash(self) -> str:
         """SHA-256 of all values, 64 hexadecimal digits."""
-        return hashlib.sha256(repr(self.as_json()).encode() + self.levels.tobytes()).hexdigest()
+        meshes = b"".join(body.places.tobytes() + body.faces.tobytes() for body in self.inner)
+        return hashlib.sha256(repr(self.as_json()).encode() + self.levels.tobytes() + meshes).hexdigest()
 
     def occupancy(self) -> Tensor:
         """The share of the object [X,Y,Z] in the surroundings of each node, in [0, 1], float32."""
         return torch.from_numpy(self.levels[0].astype(np.float32) * (REACH / LEVELS) + 0.5).clamp_(0.0, 1.0)
 
     def as_json(self) -> dict[str, Any]:
-        """All values except the levels, as plain JSON."""
+        """All values except the levels and the meshes, as plain JSON."""
         return {
             "places": list(self.levels.shape),
             "corner": list(self.corner),
             "spacing": self.spacing,
             "attenuation": list(self.attenuation),
             "eta": self.eta,
+            "inner": [body.as_json() for body in self.inner],
         }
 
     def packed(self) -> Tensor:
-        """The levels, compressed by LZMA: uint8 [bytes]."""
-        content = lzma.compress(self.levels.tobytes(), lzma.FORMAT_RAW, filters=_LZMA)
-        return torch.from_numpy(np.frombuffer(content, np.uint8).copy())
+        """The levels, compressed: uint8 [bytes]."""
+        return packed_bytes(self.levels.tobytes())
+
+    def packed_inner(self) -> Tensor:
+        """The meshes inside, compressed: uint8 [bytes]."""
+        return packed_bodies(self.inner)
 
     @staticmethod
-    def unpacked(values: dict[str, Any], packed: Tensor) -> "Interior":
-        """The inverse of `as_json` and `packed`; raises ModelError on values that they cannot have written."""
+    def unpacked(values: dict[str, Any], packed: Tensor, inner: Tensor | None = None) -> "Interior":
+        """The inverse of `as_json`, `packed` and `packed_inner`; raises ModelError on values that they cannot have
+        written.
+        """
         places = tuple(int(n) for n in values["places"])
         size = int(np.prod(places, dtype=np.float64)) if len(places) == 4 and min(places) > 0 else 0
         if not 8 <= size <= MAX_NODES:
             raise ModelError(
                 f"interior: places must be four positive numbers with a product of at most {MAX_NODES}, found {places}"
             )
-        try:
-            reader = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=_LZMA)
-            content = reader.decompress(packed.to(torch.uint8).numpy().tobytes(), max_length=size + 1)
-        except lzma.LZMAError as fault:
-            raise ModelError(f"interior: its grid cannot be unpacked ({fault}); train the model again") from None
-        if len(content) != size:
-            raise ModelError(f"interior: its grid holds {len(content)} nodes, expected {size}; train the model again")
         x, y, z = (float(n) for n in values["corner"])
-        levels = np.frombuffer(content, np.int8).reshape(places)
+        levels = np.frombuffer(unpacked_bytes(packed, size, "grids"), np.int8).reshape(places)
         attenuation = tuple(float(n) for n in values["attenuation"])
-        interior = Interior(levels, (x, y, z), float(values["spacing"]), attenuation, float(values["eta"]))
+        bodies = () if inner is None else unpacked_bodies(values["inner"], inner)
+        interior = Interior(levels, (x, y, z), float(values["spacing"]), attenuation, float(values["eta"]), bodies)
         extent = interior.spacing * max(places[1:])
         if max(abs(x), abs(y), abs(z), extent, interior.eta) > MAX_EXTENT:
             raise ModelError(

@@ -9,9 +9,9 @@ Where the object is thin, or the ray leaves it and enters it again, the weights 
 would have to be learned point by point. The average is an integrated encoding (Barron et al. 2021, Mip-NeRF) with the
 medium's weights: over equally probable points, whatever the density of the medium.
 
-At an interface the ray is refracted by the normal, and follows total internal reflections (`view_ray`). The normal and
-its cosine to ωo are inputs, too, and so are the distances of the points, the object's shape around some of them
-(`shape`), and features that are learned at them (`feature_grid`).
+At an interface the ray is refracted by the normal. In a clear object it is followed through the interfaces that it
+meets (`view_path`). The normal and its cosine to ωo are inputs, too, and so are the distances of the points, the
+object's shape around some of them (`shape`), and features that are learned at them (`feature_grid`).
 """
 
 import math
@@ -24,14 +24,16 @@ from torch import Tensor, nn
 from prt_bake.network.features.feature_grid import FeatureGrid
 from prt_bake.network.features.interior import LEVELS, REACH, Interior
 from prt_bake.network.features.light_ray import LightRay
+from prt_bake.network.features.refraction import normals, refracted_in, refracted_out
 from prt_bake.network.features.shape import MAX_SLOPE, SLOPE_SCALE, shape_grid, trilinear
-from prt_bake.network.features.view_ray import Ray, normals, refracted_in, refracted_out, trace
+from prt_bake.network.features.view_path import PathSamples, PathTracer
 from prt_bake.network.settings import COSINE_BUMPS, LIGHT_RAY_ORIGINS, SHAPE_INPUTS, SHAPE_SCALES, NetworkSettings
 
 _MEAN_FREE_PATHS = 4.0
 """Length of the view ray, if the object is larger."""
 _MAX_LENGTH, _MAX_LENGTH_REFLECTED = 1.75, 3.0
-"""Maximum length of straight rays in box sides, a little more than the diagonal of a cube, and of reflected rays."""
+"""Maximum length of straight rays in box sides: a little more than the diagonal of a cube. Lengths are inputs in its
+units, those in clear objects in the second."""
 _INTERVALS, _INTERVALS_REFLECTED = 64, 128
 _WARP = 3.0
 """Logarithm of the ratio of the last interval to the first: more depends on points near the surface."""
@@ -85,20 +87,19 @@ class ViewFeatures(nn.Module):
     def __init__(self, settings: NetworkSettings, frequencies: Tensor, interior: Interior) -> None:
         """`frequencies` [F,6] of (x, ωo) are the network's."""
         super().__init__()
-        self.torch_only = self.use_kernels = False
+        self.torch_only = False
         self.interior, self._samples, self._has_normal = interior, settings.ray_samples, settings.tells_normal
         self._has_exit, self._has_shape = settings.lobes > 0, settings.shape_places > 0
         spacing = self._samples / max(settings.shape_places - 1, 1)
         self._shape_at = [int(spacing * (place + 0.5)) for place in range(settings.shape_places - 1)]
         self._axes = settings.light_axes
-        self._reflections = settings.ray_turns if settings.tells_normal else 0
         self._unaveraged = round(_UNAVERAGED_SHARE * settings.features) if settings.tells_normal else 0
         self._gain = 1.0 / max(-math.expm1(-_TYPICAL_LENGTH * max(interior.attenuation)), _MIN_OPACITY)
         for name, tensor in (
             ("frequencies", frequencies.detach().float()),
             ("levels", torch.from_numpy(interior.levels.astype("float32")) / LEVELS),
             ("corner", torch.tensor(interior.corner, dtype=torch.float32)),
-            ("edges", interval_edges(interior, self._reflections > 0)),
+            ("edges", interval_edges(interior, settings.ray_turns > 0)),
             ("shape", shape_grid(interior) if self._has_shape else torch.empty(0)),
         ):
             self.register_buffer(name, tensor, persistent=False)
@@ -116,11 +117,16 @@ class ViewFeatures(nn.Module):
         """
         return self.features(self.encode(positions, outgoing, normals))
 
-    def encode(self, positions: Tensor, outgoing: Tensor, normals: Tensor | None = None) -> ViewEncoding:
-        """The part of `forward` that does not depend on learned weights; takes the same arguments."""
+    def encode(
+        self, positions: Tensor, outgoing: Tensor, normals: Tensor | None = None, path: PathTracer | None = None
+    ) -> ViewEncoding:
+        """The part of `forward` that does not depend on learned weights.
+
+        `path` finds the paths of the views in the object's meshes; without it they are straight.
+        """
         x, eye = positions.float().contiguous(), outgoing.float().contiguous()
         with torch.no_grad(), torch.autocast(positions.device.type, enabled=False):
-            return self._encode(x, eye, normals)
+            return self._encode(x, eye, normals, path)
 
     def features(self, encoding: ViewEncoding) -> Tensor:
         """The features [N, settings.view_inputs]: learned features at x and along the ray, then the encoding's."""
@@ -140,17 +146,15 @@ class ViewFeatures(nn.Module):
         occupancy = [] if self.light is None else [self.light(frame[:, :origins], incident)]
         return [*occupancy, incident @ frame[:, origins:].transpose(1, 2)]
 
-    def _encode(self, x: Tensor, eye: Tensor, normals: Tensor | None) -> ViewEncoding:
+    def _encode(self, x: Tensor, eye: Tensor, normals: Tensor | None, path: PathTracer | None) -> ViewEncoding:
         back, parts, axes = eye, [], torch.empty((len(x), 0, 3), device=x.device)
         if self._has_normal:
             normal = self._normal(x) if normals is None else self._completed(normals.float(), x)
-            cosine = (normal * eye).sum(-1, keepdim=True)
-            back = refracted_in(eye, normal, cosine.clamp(min=_MIN_COSINE), self.interior.eta)
-            parts += [_NORMAL_SCALE * normal, _NORMAL_SCALE * _bumps(cosine)]
+            back = self.back(eye, normal)
+            parts += [_NORMAL_SCALE * normal, _NORMAL_SCALE * _bumps((normal * eye).sum(-1, keepdim=True))]
             axes = normal[:, None]
-        ray = self._ray(x, back)
-        lengths, opacity = self._samples_along(self._depths(ray))
-        points, weight = ray.points(lengths), self._gain * opacity
+        lengths, points, opacity, leaving = (path or self._straight)(x, back)
+        weight = self._gain * opacity
         parts += [lengths * (2.0 / self._length), weight[:, None]]
         if self._has_shape:
             shape = self._shape(torch.stack([x, *(points[:, at] for at in self._shape_at)], dim=1))
@@ -158,9 +162,14 @@ class ViewFeatures(nn.Module):
             axes = torch.cat((axes, slopes / SLOPE_SCALE / MAX_SLOPE), dim=1)
             parts.append(shape)
         if self._has_exit:
-            parts.append(self._exit(ray))
+            parts.append(leaving)
         features = torch.cat([self._averaged(x, eye, points, weight), *parts], dim=-1)
         return ViewEncoding(features, x, points, weight, axes[:, : self._axes])
+
+    def back(self, eye: Tensor, normal: Tensor) -> Tensor:
+        """Directions [N,3] inside towards the surface, of light that leaves along `eye` [N,3]."""
+        cosine = (normal * eye).sum(-1, keepdim=True).clamp(min=_MIN_COSINE)
+        return refracted_in(eye, normal, cosine, self.interior.eta)
 
     def _completed(self, normals: Tensor, x: Tensor) -> Tensor:
         """The normals [N,3], with those of the grid where they are 0."""
@@ -177,49 +186,30 @@ class ViewFeatures(nn.Module):
         """Normals [N,3] of the object's grid at positions."""
         return normals(lambda points: self._inside(0, points), self.interior.spacing, x)
 
-    def _ray(self, x: Tensor, back: Tensor) -> Ray:
-        """The view rays from x [N,3] along −back [N,3].
+    def _straight(self, x: Tensor, back: Tensor) -> PathSamples:
+        """The paths of view rays from x [N,3] along −back [N,3], straight, in the grids."""
+        lengths, opacity = self._samples_along(self._depths(x, back))
+        leaving = self._leaving(x, back) if self._has_exit else -back
+        return PathSamples(lengths, _points(x, back, lengths), opacity, leaving)
 
-        Rays with reflections are traced on the CPU, unless there is a GPU kernel: with torch alone each of thousands of
-        small steps would wait for the one before.
-        """
-        if not self._reflections:
-            return Ray.straight(x, back)
-        spacing, eta, length, count = self.interior.spacing, self.interior.eta, self._length, self._reflections
-        if self.torch_only:
-            return trace(lambda points: self._inside(0, points), spacing, eta, count, length, x, back)
-        if self.use_kernels:
-            from prt_bake.network.features.cuda_rays import trace_rays
-
-            return trace_rays(self.levels[0], self.corner, spacing, eta, count, length, x, back)
-        from prt_bake.network.features.view_kernel import trace_rows
-
-        segments = len(x), count + 1
-        starts, towards, begins = torch.empty((*segments, 3)), torch.empty((*segments, 3)), torch.empty(segments)
-        inputs = [tensor.cpu().numpy() for tensor in (self.levels[0], x - self.corner, -back)]
-        outputs = [tensor.numpy() for tensor in (starts, towards, begins)]
-        trace_rows(inputs[0], np.float32(spacing), np.float32(eta), np.float32(length), *inputs[1:], *outputs)
-        return Ray(starts.to(x.device) + self.corner, towards.to(x.device), begins.to(x.device))
-
-    def _exit(self, ray: Ray) -> Tensor:
-        """Directions [N,3] of rays after they have left the object, refracted where they leave it first.
+    def _leaving(self, x: Tensor, back: Tensor) -> Tensor:
+        """Directions [N,3] of straight rays after they have left the object, refracted where they leave it first.
 
         A ray that is totally reflected there, or that never leaves, goes straight on.
         """
-        inside = self._inside(0, ray.points(self.edges))
+        inside = self._inside(0, _points(x, back, self.edges))
         within = inside > 0.0
         leaves = within[:, :-1] & ~within[:, 1:]
         first = leaves.to(torch.int8).argmax(dim=1, keepdim=True)
         before, after = inside.gather(1, first), inside.gather(1, first + 1)
         share = before / (before - after).clamp(min=1e-6)
         length = torch.lerp(self.edges[first], self.edges[first + 1], share.clamp(0.0, 1.0))
-        point, ahead = ray.points(length)[:, 0], ray.along(length)[:, 0]
-        refracted = refracted_out(ahead, self._normal(point), self.interior.eta)
-        return torch.where(leaves.any(dim=1, keepdim=True), refracted, ahead)
+        refracted = refracted_out(-back, self._normal(_points(x, back, length)[:, 0]), self.interior.eta)
+        return torch.where(leaves.any(dim=1, keepdim=True), refracted, -back)
 
-    def _depths(self, ray: Ray) -> Tensor:
-        """Optical depths [N,M] of the intervals along rays; a point belongs to the last body that contains it."""
-        points = ray.points(0.5 * (self.edges[1:] + self.edges[:-1]))
+    def _depths(self, x: Tensor, back: Tensor) -> Tensor:
+        """Optical depths [N,M] of intervals along straight rays; a point belongs to the last body that contains it."""
+        points = _points(x, back, 0.5 * (self.edges[1:] + self.edges[:-1]))
         attenuation = torch.zeros(points.shape[:2], device=points.device)
         for body, value in enumerate(self.interior.attenuation):
             within = (self._inside(body, points) * REACH + 0.5).clamp_(0.0, 1.0)
@@ -310,6 +300,11 @@ def interval_edges(interior: Interior, reflected: bool) -> Tensor:
         return (longest * share).float()
     length = min(_MEAN_FREE_PATHS / max(interior.attenuation[0], 1e-9), longest)
     return (length * torch.expm1(_WARP * share) / math.expm1(_WARP)).float()
+
+
+def _points(x: Tensor, back: Tensor, lengths: Tensor) -> Tensor:
+    """Points [N,K,3] of straight rays from x [N,3] along −back [N,3] after lengths [N,K], or [K] for all rays."""
+    return x[:, None] - lengths[..., None] * back[:, None]
 
 
 def _bumps(cosine: Tensor) -> Tensor:

@@ -5,12 +5,8 @@ from typing import Any
 import numpy as np
 
 from prt_bake.jit.compilation import compiled
-from prt_bake.network.features.interior import REACH
 from prt_bake.network.features.pair_kernel import cos_sin
-from prt_bake.network.features.view_ray import ENTRY_DEPTH, MIN_SLOPE, MIN_STEP, STEP
 
-_STEP, _MIN_STEP, _ENTRY_DEPTH, _REACH = (np.float32(number) for number in (STEP, MIN_STEP, ENTRY_DEPTH, REACH))
-_MIN_SLOPE = np.float32(MIN_SLOPE)
 _ONE = np.float32(1.0)
 _ZERO = np.float32(0.0)
 
@@ -57,57 +53,6 @@ def shape_rows(grid: Any, per_length: Any, points: Any, rows: Any) -> None:
                 low, high = across * (_ONE - w), across * w
                 for c in range(channels):
                     rows[n, c] += low * grid[i + a, j + b, k, c] + high * grid[i + a, j + b, k + 1, c]
-
-
-@compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def normal_at(levels: Any, spacing: Any, x: Any, y: Any, z: Any) -> Any:
-    """The grid's outward normal at a point from its corner: `view_ray.normals`."""
-    per_length = _ONE / spacing
-    u = distance_at(levels, per_length, x - spacing, y, z) - distance_at(levels, per_length, x + spacing, y, z)
-    v = distance_at(levels, per_length, x, y - spacing, z) - distance_at(levels, per_length, x, y + spacing, z)
-    w = distance_at(levels, per_length, x, y, z - spacing) - distance_at(levels, per_length, x, y, z + spacing)
-    slope = max(np.sqrt(u * u + v * v + w * w), _MIN_SLOPE)
-    return u / slope, v / slope, w / slope
-
-
-@compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def trace_rows(
-    levels: Any, spacing: Any, eta: Any, longest: Any, points: Any, along: Any, starts: Any, towards: Any, begins: Any
-) -> None:
-    """Sets starts [N,P,3], towards [N,P,3] and begins [N,P] to the segments of rays: `view_ray.trace`.
-
-    The rays start at points [N,3] from the grid's corner, along unit vectors [N,3].
-    """
-    per_length = _ONE / spacing
-    for n in range(points.shape[0]):
-        x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        u, v, w = along[n, 0], along[n, 1], along[n, 2]
-        starts[n], towards[n] = points[n], along[n]
-        begins[n] = np.float32(np.inf)
-        begins[n, 0] = _ZERO
-        segment, entered = 0, False
-        begin, length, inside = _ZERO, _ZERO, _ZERO
-        while length < longest:
-            step = spacing * max(_STEP * inside, _MIN_STEP)
-            s = length + step - begin
-            distance = _REACH * distance_at(levels, per_length, x + s * u, y + s * v, z + s * w)
-            if not (entered and distance <= _ZERO):
-                length, inside = length + step, distance
-                entered = entered or distance > _ENTRY_DEPTH
-                continue
-            length += inside / max(inside - distance, np.float32(1e-6)) * step
-            s = length - begin
-            x, y, z = x + s * u, y + s * v, z + s * w
-            a, b, c = normal_at(levels, spacing, x, y, z)
-            cosine = u * a + v * b + w * c
-            if segment + 1 == begins.shape[1] or cosine <= _ZERO or eta * eta * (_ONE - cosine * cosine) <= _ONE:
-                break
-            segment += 1
-            u, v, w = u - 2 * cosine * a, v - 2 * cosine * b, w - 2 * cosine * c
-            starts[n, segment, 0], starts[n, segment, 1], starts[n, segment, 2] = x, y, z
-            towards[n, segment, 0], towards[n, segment, 1], towards[n, segment, 2] = u, v, w
-            begins[n, segment] = begin = length
-            inside, entered = _ZERO, False
 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from prt_bake.network.core import NetworkCore
+from prt_bake.network.features.view_path import known_paths
 from prt_bake.network.inference.cuda_views import MIN_TILE, PairColumns, RecordedGraph, ViewTerms, stream
 from prt_bake.network.inference.fused import FusedNetwork
 from prt_bake.network.inference.light_tables import LightTable, table_bounds
@@ -92,8 +93,6 @@ class CudaNetwork(FusedNetwork):
         """Copies the weights to `device` in `precision`, in the kernels' layout."""
         super().__init__(network, precision, device)
         settings = self.network.settings
-        if self.network.view is not None:
-            self.network.view.use_kernels = True
         self._outputs = _padded(self._weights[-1], MIN_TILE)
         self._bias = _padded(self._biases[-1].float(), MIN_TILE)
         if self._late is None:
@@ -212,26 +211,24 @@ class CudaNetwork(FusedNetwork):
         return known._replace(table=known.table.half()) if halved else known
 
     def _view_queries(self, positions: ArrayLike, outgoing: ArrayLike) -> Tensor:
-        """Position, outgoing direction and normal (0 without a mesh) of each view [N·B,9], in one transfer."""
-        eye = np.asarray(outgoing, np.float64)
-        queries = np.zeros((*eye.shape[:2], 9))
-        queries[..., :3], queries[..., 3:6] = np.asarray(positions, np.float64)[:, None], eye
-        queries = queries.reshape(-1, 9)
-        normals = self.network.mesh_normals(torch.from_numpy(queries[:, :3]), torch.from_numpy(queries[:, 3:6]))
-        if normals is not None:
-            queries[:, 6:] = normals.numpy()
-        return torch.from_numpy(queries).to(self._device)
+        """Position, outgoing direction, normal (0 without a mesh) and path of each view [N·B,9+…], in one transfer."""
+        outgoing = np.asarray(outgoing, np.float64)
+        x = torch.from_numpy(np.repeat(np.asarray(positions, np.float64), outgoing.shape[1], axis=0))
+        eye = torch.from_numpy(outgoing.reshape(-1, 3))
+        normals = self.network.mesh_normals(x, eye)
+        normals = torch.zeros_like(x) if normals is None else normals
+        return torch.cat((x, eye, normals, self.network.packed_paths(x, eye, normals)), dim=1).to(self._device)
 
     def _view_terms(self, queries: Tensor) -> ViewTerms:
-        """What late layers need of views [N,9], in operations that a CUDA graph can record."""
-        x, eye, normals = torch.split(queries, 3, dim=1)
+        """What late layers need of views [N,9+…], in operations that a CUDA graph can record."""
+        x, eye, normals, paths = torch.split(queries, [3, 3, 3, queries.shape[1] - 9], dim=1)
         network, late = self.network, self._late
         assert late is not None
         frame = torch.zeros((len(x), network.settings.frame_rows, 3), device=self._device)
         if network.view is None:
             features = network.view_features(x, eye)
         else:
-            encoding = network.view.encode(network.relative_positions(x), eye, normals)
+            encoding = network.view.encode(network.relative_positions(x), eye, normals, known_paths(paths.float()))
             features, frame = network.view.features(encoding), encoding.frame
         added, lobes = late.view_terms(features)
         parts: Lobes | Bands | None = lobes

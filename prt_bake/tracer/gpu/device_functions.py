@@ -13,8 +13,8 @@ import numba.cuda
 from numba import config
 from numba.core.dispatcher import Dispatcher
 
+from prt_bake.geometry.embree import nearest_hit
 from prt_bake.tracer.gpu.traversal import nearest_hit as nearest_hit_in_tree
-from prt_bake.tracer.surface.embree import nearest_hit
 
 cuda: Any = numba.cuda
 """numba's module for CUDA, whose annotations lack most of it."""

@@ -60,7 +60,7 @@ def _entry(x: Any, y: Any, z: Any, sx: Any, sy: Any, sz: Any, near: Any, far: An
 
 @called_function()
 def nearest_hit(tree: Any, root: Any, ray: Any, p: Any, d: Any, near: Any, far: Any, skip: Any) -> Any:
-    """Nearest hit of p + t d with near < t < far: (face or −1, t), as `prt_bake.tracer.surface.embree.nearest_hit`.
+    """Nearest hit of p + t d with near < t < far: (face or −1, t), as `prt_bake.geometry.embree.nearest_hit`.
 
     tree: a `Tree`; root: the node to begin with. ray float32 [RAY_SIZE] holds the stack, and u and v of the hit after.
     """

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from prt_bake.geometry.embree import nearest_hit
 from prt_bake.jit.kernel_functions import called_function, inlined_function
-from prt_bake.tracer.surface.embree import nearest_hit
 from prt_bake.tracer.surface.interface import MATCHED, ROUGH, SMOOTH
 
 PASS, DIFFUSE, OPAQUE = -1, 3, 4

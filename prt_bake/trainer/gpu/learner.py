@@ -2,7 +2,6 @@
 
 import math
 from contextlib import AbstractContextManager, nullcontext
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from formats.errors import QueryError
 from prt_bake.mathematics.sphere import fibonacci
 from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.network.features.view_features import ViewEncoding
+from prt_bake.network.features.view_path import known_paths
 from prt_bake.tracer.gpu.device_functions import cuda
 from prt_bake.trainer.gpu.renderer import GpuBatch
 from prt_bake.trainer.learner import Learner, LearningSettings, learning_rate
@@ -37,12 +37,7 @@ class GpuLearner(Learner):
     def __init__(self, network: NeuralBSSRDF, settings: LearningSettings) -> None:
         """Learn on the network's device, a GPU."""
         super().__init__(network, settings)
-        on_gpu, kernels = self._device.type == "cuda", find_spec("triton") is not None
-        for view in (network.view, self.model.view):
-            if view is not None:
-                view.use_kernels = on_gpu and kernels
-        # Without Triton the processor traces view rays with reflections.
-        self._recordable = on_gpu and (kernels or not network.settings.ray_turns)
+        self._recordable = self._device.type == "cuda"
         self._set_optimizer()
         self._generator = torch.Generator(self._device)
         self._turns = torch.zeros((settings.batch, 3), device=self._device)
@@ -128,9 +123,10 @@ class GpuLearner(Learner):
         assert self._batch is not None
         for optimizer in self.optimizers:
             optimizer.zero_grad(set_to_none=True)
-        rows = self._batch.rows
-        view = self.network.view
-        encoding = None if view is None else view.encode(rows[:, POSITION], rows[:, OUTGOING], self._batch.normals)
+        rows, view, path = self._batch.rows, self.network.view, known_paths(self._batch.paths)
+        encoding = None
+        if view is not None:
+            encoding = view.encode(rows[:, POSITION], rows[:, OUTGOING], self._batch.normals, path)
         losses = self._losses_of_exits(rows, rays_of(rows), self._uniform(), encoding)
         loss = losses.mean()
         torch.autograd.backward(loss)
@@ -157,13 +153,6 @@ class GpuLearner(Learner):
         twice = 2.0 * torch.linalg.cross(q.expand_as(lattice), lattice)
         turned: Tensor = lattice + w * twice + torch.linalg.cross(q.expand_as(lattice), twice)
         return turned
-
-    def result(self) -> NeuralBSSRDF:
-        """The model as if it were read from a file: it may move to the processor, where kernels for a GPU fail."""
-        network = super().result()
-        if network.view is not None:
-            network.view.use_kernels = False
-        return network
 
     def stream(self) -> AbstractContextManager[Any]:
         """The stream of the GPU on which numba launches the walks."""

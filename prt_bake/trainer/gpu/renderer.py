@@ -4,6 +4,7 @@ Walks and learning take turns on the GPU, which both can fill alone. The process
 """
 
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple
@@ -30,24 +31,30 @@ _AHEAD = 4
 """Blocks whose queries are placed in advance, in as many threads."""
 
 
+Paths = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""`NetworkCore.packed_paths`."""
+
+
 class GpuBatch(NamedTuple):
-    """A `Batch` on the GPU: rows [Q, 6 + 6 R] float32, the queries' numbers [Q] int64, and normals [Q,3] float32 of the
-    mesh.
+    """A `Batch` on the GPU: rows [Q, 6 + 6 R] float32, the queries' numbers [Q] int64, and float32 normals [Q,3] of the
+    mesh and paths [Q,·] of the views (`NetworkCore.packed_paths`).
     """
 
     rows: Tensor
     numbers: Tensor
     normals: Tensor
+    paths: Tensor
 
 
 class _Placed(NamedTuple):
-    """Queries of a block: their number, rows before the rays float32 [B,6], normals float32 [B,3], in the kernels'
-    coordinates, and the random numbers of resampling [B,1].
+    """Queries of a block: their number, rows before the rays float32 [B,6], normals float32 [B,3], paths float32 [B,·],
+    in the kernels' coordinates, and the random numbers of resampling [B,1].
     """
 
     first: int
     rows: NDArray[np.float32]
     normals: NDArray[np.float32]
+    paths: NDArray[np.float32]
     queries: KernelQueries
     offsets: Array
 
@@ -65,12 +72,16 @@ class GpuRenderer:
         seed: int,
         batch: int,
         normals: Literal["face", "vertex"],
+        paths: Paths,
         state: dict[str, int] | None = None,
     ) -> None:
-        """Rows are drawn `batch` at a time, of which blocks hold a multiple. Continue from `state` if given."""
+        """Rows are drawn `batch` at a time, of which blocks hold a multiple. `paths` finds those of the views. Continue
+        from `state` if given.
+        """
         begun = state or {"next_query": 0, "walks": 0, "rows": 0}
         self._next_query, self._walks, self._rows = begun["next_query"], begun["walks"], begun["rows"]
         self._prepared, self._box, self._settings, self._seed, self._normals = prepared, box, settings, seed, normals
+        self._paths = paths
         self._source = QuerySource(prepared, 1, seed, settings.face_share, settings.edge_share)
         self._scene, self._size = on_gpu(prepared), batch * -(-settings.queries_a_batch // batch)
         self._pool = ThreadPoolExecutor(_AHEAD, "prtbake-places")
@@ -117,13 +128,15 @@ class GpuRenderer:
         normals = self._prepared.surface.normals(queries.positions, queries.outgoing, self._normals)
         placed = KernelQueries._make(self._source.for_kernel(queries))
         offsets = resampling_offsets(self._seed, queries.keys)[:, None]
-        return _Placed(first, rows.astype(np.float32), normals.astype(np.float32), placed, offsets)
+        paths = self._paths(*map(torch.from_numpy, (queries.positions, queries.outgoing, normals))).numpy()
+        single = [part.astype(np.float32) for part in (rows, normals, paths)]
+        return _Placed(first, single[0], single[1], single[2], placed, offsets)
 
     def _trace_block(self) -> GpuBatch:
         placed = self._pending.popleft().result()
         self._pending.append(self._pool.submit(self._place, placed.first + _AHEAD * self._size))
-        rows, normals, *arrays = (_to_gpu(array) for array in (placed.rows, placed.normals, *placed.queries))
-        queries = KernelQueries._make(map(kernel_array, arrays))
+        rows, normals, paths = map(_to_gpu, (placed.rows, placed.normals, placed.paths))
+        queries = KernelQueries._make(kernel_array(_to_gpu(array)) for array in placed.queries)
         buffers = self._directions, self._throughput, self._scattered, self._lost
         exits = Exits._make(map(kernel_array, buffers))
         first_path = kernel_array(torch.zeros(self._size, dtype=torch.int64, device=_device()))
@@ -134,7 +147,7 @@ class GpuRenderer:
         self._walks += self._size * self._settings.exits
         self._rows += self._size
         numbers = torch.arange(placed.first, placed.first + self._size, device=_device())
-        return GpuBatch(torch.cat((rows, rays), dim=1), numbers, normals)
+        return GpuBatch(torch.cat((rows, rays), dim=1), numbers, normals, paths)
 
     def _kept(self, light: Tensor, offsets: Array) -> tuple[Tensor, Tensor]:
         """Directions and throughput [B,K,3] of the rays to learn from."""
@@ -150,14 +163,15 @@ def compiled_renderer(
     settings: StreamSettings,
     seed: int,
     batch: int,
+    paths: Paths,
     state: dict[str, int] | None,
 ) -> GpuRenderer:
     """A renderer whose kernels are compiled."""
-    trial = GpuRenderer(prepared, box, replace(settings, queries_a_batch=1), seed, 1, scene.normals)
+    trial = GpuRenderer(prepared, box, replace(settings, queries_a_batch=1), seed, 1, scene.normals, paths)
     trial.start()
     trial.draw(1, np.random.default_rng(0))
     trial.stop()
-    return GpuRenderer(prepared, box, settings, seed, batch, scene.normals, state)
+    return GpuRenderer(prepared, box, settings, seed, batch, scene.normals, paths, state)
 
 
 def _device() -> str:
