@@ -84,7 +84,7 @@ def traced_rows(scene: Scene, count: int) -> Array:
 
 def trained(scene: Scene, rows: Array, scale: float, variant: Variant) -> tuple[NeuralBSSRDF, int]:
     """The network of a variant after one pass over its rows, and its steps."""
-    box, interior = box_of(scene), interior_of(scene, box_of(scene))
+    box, interior = box_of(scene), interior_of(scene, box_of(scene), with_meshes=True)
     settings = replace(_settings_for(PRESETS["measured"], scene), **variant.network)
     if "grid_places" not in variant.network:
         settings = with_fitting_grid(settings, interior)

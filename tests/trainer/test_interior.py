@@ -12,11 +12,14 @@ from formats.mesh import build_mesh, write_mesh
 from formats.scene import read_scene
 from prt_bake.geometry.distances import grid_distances
 from prt_bake.network.bssrdf import PRESETS, NeuralBSSRDF
+from prt_bake.network.features.inner_bodies import STEPS
 from prt_bake.network.features.interior import LEVELS, REACH
 from prt_bake.trainer.interior import MOST_BYTES, interior_of
 from prt_bake.trainer.training_data import box_of
 from tests.shapes import ball
 from tests.tracer.scenes import make_scene, moved
+
+GRAPE = Path(__file__).parents[2] / "scenes" / "grape" / "grape.toml"
 
 
 @pytest.mark.statistics
@@ -127,3 +130,16 @@ phase_g = 0.5
     volumes = within.sum(axis=(1, 2, 3)) * (2.0 * interior.spacing) ** 3
     np.testing.assert_allclose(volumes, np.array([4.0 / 3.0 * np.pi, 1.0, 0.125]), rtol=0.03)
     assert len(interior.packed()) <= MOST_BYTES
+
+
+def test_meshes_inside_are_those_of_the_parts() -> None:
+    """In box sides; a diffuse body has the index of what surrounds it."""
+    scene = read_scene(GRAPE)
+    interior = interior_of(scene, box_of(scene), with_meshes=True)
+    assert [len(body.faces) for body in interior.inner] == [len(part.mesh.faces) for part in scene.parts[1:]]
+    assert [body.eta for body in interior.inner] == [1.35, 1.35]
+    box = box_of(scene)
+    corners = [body.places.min(axis=0) / STEPS for body in interior.inner]
+    expected = [((part.mesh.positions - box.corner) / box.side).min(axis=0) for part in scene.parts[1:]]
+    np.testing.assert_allclose(np.sort(corners, axis=0), np.sort(expected, axis=0), atol=1e-4)
+    assert interior_of(scene, box).inner == ()

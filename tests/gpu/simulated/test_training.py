@@ -38,7 +38,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 @cache
 def _network(scene: Scene) -> NeuralBSSRDF:
-    box, interior = box_of(scene), interior_of(scene, box_of(scene))
+    box, interior = box_of(scene), interior_of(scene, box_of(scene), with_meshes=True)
     network = NeuralBSSRDF(with_fitting_grid(SMALL, interior), box.corner, box.side, 0.05, {}, interior)
     return network.to(DEVICE).on(scene.mesh)
 

@@ -1,0 +1,133 @@
+"""Tests of the meshes inside an object, as they are stored with a network."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from numpy.typing import NDArray
+
+from formats.errors import ModelError
+from prt_bake.network.bssrdf import NeuralBSSRDF, load_model, save_model
+from prt_bake.network.features.inner_bodies import (
+    MOST_BYTES,
+    STEPS,
+    InnerBody,
+    fitting_bodies,
+    packed_bodies,
+    unpacked_bodies,
+)
+from prt_bake.network.features.interior import Interior
+from tests.network.test_view_path import REFLECTING, UNIT, cube, downwards, mesh_of
+
+RNG = np.random.default_rng(9)
+Shape = tuple[NDArray[np.float64], NDArray[np.int64], float]
+
+
+def sphere(subdivisions: int, eta: float = 1.2) -> Shape:
+    mesh = trimesh.creation.icosphere(subdivisions, 0.25)
+    return np.asarray(mesh.vertices) + 0.5, np.asarray(mesh.faces, np.int64), eta
+
+
+def with_a_sphere(eta: float = 1.2) -> Interior:
+    return replace(cube(0.2, inner=True), inner=fitting_bodies([sphere(2, eta)]))
+
+
+def edges_of(faces: NDArray[np.uint32]) -> NDArray[np.int64]:
+    """How often each edge is used, less how often in the other direction."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    forward = np.where(edges[:, 0] < edges[:, 1], 1, -1)
+    _edges, index = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
+    return np.bincount(index.reshape(-1), forward).astype(np.int64)
+
+
+def test_a_small_body_is_kept_to_a_step() -> None:
+    positions, faces, eta = sphere(2)
+    (body,) = fitting_bodies([(positions, faces, eta)])
+    assert (len(body.places), len(body.faces), body.eta) == (len(positions), len(faces), 1.2)
+    corners = body.places[body.faces] / STEPS
+    assert np.abs(np.sort(corners.reshape(-1, 9), axis=0) - np.sort(positions[faces].reshape(-1, 9), axis=0)).max() < (
+        1.0 / STEPS
+    )
+
+
+def test_a_large_body_is_coarser_closed_and_of_the_same_volume() -> None:
+    positions, faces, _eta = sphere(6)
+    positions = positions + 0.01 * RNG.normal(size=positions.shape)
+    bodies = fitting_bodies([(positions, faces, 1.2)])
+    assert len(packed_bodies(bodies)) <= MOST_BYTES
+    body = bodies[0]
+    assert 500 < len(body.faces) < len(faces)
+    assert not edges_of(body.faces).any()
+    volumes = [
+        trimesh.Trimesh(p, f, process=False).volume for p, f in ((positions, faces), (body.places / STEPS, body.faces))
+    ]
+    assert volumes[1] == pytest.approx(volumes[0], rel=0.02)
+
+
+def test_bodies_are_packed_without_loss() -> None:
+    bodies = fitting_bodies([sphere(1), sphere(0, 1.7)])
+    again = unpacked_bodies(json.loads(json.dumps([body.as_json() for body in bodies])), packed_bodies(bodies))
+    for body, other in zip(bodies, again, strict=True):
+        np.testing.assert_array_equal(body.places, other.places)
+        np.testing.assert_array_equal(body.faces, other.faces)
+        assert body.eta == other.eta
+    assert fitting_bodies([]) == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"vertices": 41}, "bodies hold"),
+        ({"faces": -1}, "0 to 1048576 vertices and faces"),
+        ({"vertices": 1 << 40}, "0 to 1048576 vertices and faces"),
+        ({"eta": float("nan")}, "0 to 1048576 vertices and faces"),
+    ],
+)
+def test_inconsistent_bodies_are_refused(change: dict[str, float], message: str) -> None:
+    bodies = fitting_bodies([sphere(1)])
+    with pytest.raises(ModelError, match=message):
+        unpacked_bodies([bodies[0].as_json() | change], packed_bodies(bodies))
+
+
+def test_faces_beyond_the_vertices_are_refused() -> None:
+    body = InnerBody(np.zeros((3, 3), np.uint16), np.array([[0, 1, 3]], np.uint32), 1.0)
+    with pytest.raises(ModelError, match="vertex 3, expected below 3"):
+        unpacked_bodies([body.as_json()], packed_bodies((body,)))
+
+
+def test_each_body_needs_its_mesh() -> None:
+    with pytest.raises(ModelError, match="2 bodies need 1 meshes inside, found 2"):
+        replace(cube(inner=True), inner=fitting_bodies([sphere(1), sphere(0)]))
+
+
+def test_a_model_keeps_what_is_seen_in_the_object(tmp_path: Path) -> None:
+    network = NeuralBSSRDF(REFLECTING, interior=with_a_sphere())
+    save_model(network.rounded(), tmp_path / "model.pt")
+    again = load_model(tmp_path / "model.pt").on(mesh_of(UNIT))
+    x, towards = downwards(50)
+    at = torch.from_numpy(x), torch.from_numpy(-towards)
+    encodings = [net.encode_views(*at) for net in (network.on(mesh_of(UNIT)), again)]
+    empty = NeuralBSSRDF(REFLECTING, interior=cube(0.2)).on(mesh_of(UNIT)).encode_views(*at)
+    assert encodings[0] is not None
+    assert encodings[1] is not None
+    assert empty is not None
+    assert torch.equal(encodings[0].points, encodings[1].points)
+    assert float((encodings[0].points - empty.points).abs().max()) > 0.1
+
+
+def test_the_interior_s_hash_depends_on_what_is_inside() -> None:
+    hashes = {with_a_sphere(eta).content_hash for eta in (1.2, 1.3)} | {cube(0.2, inner=True).content_hash}
+    assert len(hashes) == 3
+
+
+def test_a_file_without_the_meshes_inside_is_refused(tmp_path: Path) -> None:
+    """Rays that do not see the bodies would give another object in silence."""
+    save_model(NeuralBSSRDF(REFLECTING, interior=cube(0.2, inner=True)), tmp_path / "old.pt")
+    with pytest.raises(ModelError, match=r"old.pt: .*its file lacks these meshes.*train the model again"):
+        load_model(tmp_path / "old.pt")
+    save_model(NeuralBSSRDF(replace(REFLECTING, ray_turns=0), interior=cube(0.2, inner=True)), tmp_path / "dense.pt")
+    load_model(tmp_path / "dense.pt")
