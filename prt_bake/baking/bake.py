@@ -38,7 +38,7 @@ from prt_bake.mathematics import sphere
 
 __all__ = ["ITEMS", "Light", "Progress", "bake", "plan"]
 
-JOURNAL_VERSION = 2
+JOURNAL_VERSION = 3
 """Changes with the names of the checkpoints and of their arrays."""
 
 

@@ -96,7 +96,7 @@ def save_model(network: NeuralBSSRDF, path: str | Path) -> None:
     """Writes the network as `.pt` or `.safetensors`: tensors, and everything else as JSON.
 
     A tensor is stored in float16 if that is exact (see `rounded`), else in float32. Rounded networks of the presets
-    take 372 KiB ("paper") and at most 660 KiB ("measured"). Raises ModelError on another suffix or on weights that are
+    take 372 KiB ("paper") and at most 740 KiB ("measured"). Raises ModelError on another suffix or on weights that are
     not finite, StorageError if the file cannot be written. An older file stays as it was on failure.
 
     >>> import tempfile
@@ -174,7 +174,6 @@ def load_model(path: str | Path, device: str = "cpu", *, mesh: Mesh | None = Non
             head["metadata"],
             None if packed is None else Interior.unpacked(head["interior"], packed, inner),
         )
-        _check_bodies(network)
     except ModelError as fault:
         raise fault if str(path) in str(fault) else ModelError(f"{path}: {fault}") from None
     except (KeyError, TypeError, ValueError, AttributeError) as fault:
@@ -202,18 +201,6 @@ def _check_metadata(metadata: dict[str, Any]) -> None:
         raise ModelError(f"{fault}; copy the file again, or train the model again")
     for fault in value_faults(training.get("relative_rmse", {}), _ERRORS, "metadata.training.relative_rmse."):
         raise ModelError(f"{fault}; copy the file again, or train the model again")
-
-
-def _check_bodies(network: NeuralBSSRDF) -> None:
-    """Refuse a network that follows view rays through bodies which its file does not have."""
-    if network.view is None or not network.settings.ray_turns:
-        return
-    interior = network.view.interior
-    if len(interior.attenuation) > 1 and not interior.inner:
-        raise ModelError(
-            "it follows view rays through what the object contains, and its file lacks these meshes: "
-            "an older version wrote it; train the model again"
-        )
 
 
 def _check_size(settings: NetworkSettings, stored: int) -> None:

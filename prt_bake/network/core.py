@@ -81,6 +81,12 @@ class NetworkCore(nn.Module):
                 "network: an interior is needed if ray_samples is above 0, and only then; "
                 f"found {'no' if interior is None else 'an'} interior and ray_samples {self.settings.ray_samples}"
             )
+        if interior is not None and self.settings.interfaces and len(interior.inner) + 1 < len(interior.attenuation):
+            raise ModelError(
+                f"network: view rays are followed through {len(interior.attenuation)} bodies (interfaces is "
+                f"{self.settings.interfaces}), which needs the meshes of those inside; found {len(interior.inner)}"
+            )
+        self._corner = corner.numpy()
         generator = torch.Generator().manual_seed(self.settings.seed)
         self._draw_frequencies(generator)
         self.register_buffer("box_min", corner, persistent=False)
@@ -209,12 +215,10 @@ class NetworkCore(nn.Module):
 
     def _path_in(self, mesh: Mesh) -> ViewPath | None:
         """Finds the paths of view rays in the object's mesh; None if they are straight."""
-        if self.view is None or not self.settings.ray_turns:
+        if self.view is None or not self.settings.interfaces:
             return None
-        positions = (mesh.positions - self.box_min.cpu().numpy()) / self.box_side
-        faces = np.asarray(mesh.faces, np.int64)
-        smooth = self._normals_of_vertices
-        corners = mesh.normals[faces] if smooth else np.repeat(np.asarray(mesh.face_normals)[:, None], 3, axis=1)
+        positions, faces = (mesh.positions - self._corner) / self.box_side, np.asarray(mesh.faces, np.int64)
+        corners = mesh.normals[faces] if self._normals_of_vertices else None
         return path_through(Body(positions, faces, corners), self.view.interior, self.settings)
 
     def up_to(self, degree: int) -> Self:
@@ -234,8 +238,9 @@ class NetworkCore(nn.Module):
         if self.settings.tells_normal and self.surface is None and not self._warned[0]:
             self._warned[0] = True
             warn(
-                "network: it takes normals as input and has no mesh to take them from; those of a coarse grid can "
-                "double its error; use network.on(mesh), or prt.load_model(path, mesh=mesh)"
+                "network: it takes normals as input and has no mesh to take them from; those of a coarse grid, and "
+                "straight view rays in clear objects, can double its error; use network.on(mesh), or "
+                "prt.load_model(path, mesh=mesh)"
             )
 
     @property
@@ -255,7 +260,7 @@ class NetworkCore(nn.Module):
         """The paths of views, found by the processor: `PathSamples.packed`; [N,0] if they are straight."""
         if self.view is None or self.path is None:
             return positions[:, :0]
-        x = (positions.double() - self.box_min.to(positions.device)) / self.box_side
+        x = (positions.double() - torch.from_numpy(self._corner).to(positions.device)) / self.box_side
         return self.path(x.float(), self.view.back(outgoing.float(), normals.float())).packed().to(positions.dtype)
 
     def light_features(self, incident: Tensor) -> Tensor:

@@ -63,8 +63,8 @@ class NetworkSettings:
     itself. Needs light_layers, Cartesian directions, a feature_mean of 0, and an `Interior`."""
     tells_normal: bool = False
     """Whether the view ray is refracted at the interface, and the normal is an input."""
-    ray_turns: int = 0
-    """Interfaces through which a refracted view ray is followed (`features.view_path`). 0: it is straight."""
+    interfaces: int = 0
+    """How often a view ray is bent or reflected at most in a clear object (`features.view_path`); 0: it is straight."""
     lobes: int = 0
     """Narrow lobes in ωi that the trunk predicts for each view (`prt_bake.network.lobes`)."""
     shape_places: int = 0
@@ -115,11 +115,13 @@ class NetworkSettings:
             raise ModelError(
                 f"network settings: lobes must not be negative, and must be 0 without tells_normal; found {self.lobes}"
             )
-        if min(self.ray_samples, self.ray_turns) < 0 or (self.tells_normal and not self.ray_samples):
+        if min(self.ray_samples, self.interfaces) < 0 or (self.tells_normal and not self.ray_samples):
             raise ModelError(
-                "network settings: ray_samples and ray_turns must not be negative, and tells_normal needs ray_samples; "
-                f"found {self.ray_samples}, {self.ray_turns} with tells_normal {self.tells_normal}"
+                "network settings: ray_samples and interfaces must not be negative, tells_normal needs ray_samples; "
+                f"found {self.ray_samples}, {self.interfaces} with tells_normal {self.tells_normal}"
             )
+        if self.interfaces and not self.tells_normal:
+            raise ModelError(f"network settings: interfaces needs tells_normal; found {self.interfaces} without it")
         if not 0 <= self.shape_places <= self.ray_samples:
             raise ModelError(
                 f"network settings: shape_places must be from 0 to ray_samples ({self.ray_samples}), "
@@ -216,6 +218,12 @@ class NetworkSettings:
     def from_json(values: dict[str, Any]) -> "NetworkSettings":
         """The inverse of `as_json`; raises ModelError naming a key that is unknown or of the wrong type."""
         known = {field.name: field.default for field in fields(NetworkSettings)}
+        values = dict(values)
+        if values.pop("ray_turns", 0):
+            raise ModelError(
+                "network settings: the network was trained with view rays that were reflected in a coarse grid "
+                "(ray_turns), which are now followed in the meshes; train the model again"
+            )
         resolved: dict[str, Any] = {}
         for name, value in values.items():
             if name not in known:
@@ -258,7 +266,7 @@ PRESETS: dict[str, NetworkSettings] = {
         angle_powers=2,
         ray_samples=12,
         tells_normal=True,
-        ray_turns=16,
+        interfaces=16,
         lobes=2,
         shape_places=4,
         grid_places=32,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from formats.scene import Medium, Part, Scene
 from prt_bake.geometry.distances import grid_distances
 from prt_bake.network.features.feature_grid import kept_places
-from prt_bake.network.features.inner_bodies import InnerBody, fitting_bodies
+from prt_bake.network.features.inner_bodies import InnerBody, Shape, fitting_bodies
 from prt_bake.network.features.interior import LEVELS, REACH, Interior
 from prt_bake.network.features.view_features import interval_edges
 from prt_bake.network.settings import NetworkSettings
@@ -19,7 +19,7 @@ from prt_bake.trainer.samples.rows import Box
 Array = NDArray[np.float64]
 
 MOST_BYTES = 49_152
-"""Byte budget of the grids in a model file; with its weights a model stays below 660 KiB."""
+"""Byte budget of the grids in a model file; with weights and meshes a model stays below 740 KiB."""
 MOST_LEARNED_BYTES = 245_760
 """Byte budget of the learned feature grid in a model file."""
 MOST_BODIES = 4
@@ -64,7 +64,7 @@ def interior_of(scene: Scene, box: Box, with_meshes: bool = False) -> Interior:
 
 def with_fitting_grid(settings: NetworkSettings, interior: Interior) -> NetworkSettings:
     """The settings with `grid_places` lowered until the learned grid fits into MOST_LEARNED_BYTES."""
-    reach = float(interval_edges(interior, settings.ray_turns > 0)[-1])
+    reach = float(interval_edges(interior, settings.interfaces > 0)[-1])
     places = settings.grid_places
     while places > 1:
         rows = int(kept_places(interior, places, reach).sum())
@@ -80,18 +80,32 @@ def is_clear(scene: Scene, box: Box) -> bool:
 
 
 def _bodies(parts: tuple[Part, ...]) -> list[Part]:
-    """The outermost part, then the largest parts inside by volume, so that a part follows the one that contains it."""
+    """The outermost part, then the largest parts inside by volume: each after those that contain it, siblings in the
+    order of the file.
+    """
     volumes = [abs(trimesh.Trimesh(part.mesh.positions, part.mesh.faces, process=False).volume) for part in parts]
-    inside = sorted(range(1, len(parts)), key=lambda index: -volumes[index])[: MOST_BODIES - 1]
-    return [parts[0], *(parts[index] for index in inside)]
+    largest = sorted(range(1, len(parts)), key=lambda index: -volumes[index])[: MOST_BODIES - 1]
+    order = sorted(largest, key=lambda index: (len(_around(parts, index)), index))
+    return [parts[0], *(parts[index] for index in order)]
+
+
+def _around(parts: tuple[Part, ...], index: int) -> list[int]:
+    """The parts that contain a part, from the inside."""
+    found = []
+    while (index := parts[index].parent) >= 0:
+        found.append(index)
+    return found
 
 
 def _inner(bodies: list[Part], meshes: list[trimesh.Trimesh], scene: Scene) -> tuple[InnerBody, ...]:
     """The meshes of the bodies after the first. Light does not enter diffuse ones: they bend no rays."""
-    eta = [part.eta if part.diffuse is None else scene.parts[part.parent].eta for part in bodies]
-    return fitting_bodies(
-        [(np.asarray(mesh.vertices), mesh.faces, float(n)) for mesh, n in zip(meshes[1:], eta[1:], strict=True)]
-    )
+    shapes, numbers = [], [scene.parts.index(part) for part in bodies]
+    for part, mesh, number in zip(bodies[1:], meshes[1:], numbers[1:], strict=True):
+        parent = next(index for index in _around(scene.parts, number) if index in numbers)
+        eta = part.eta if part.diffuse is None else scene.parts[part.parent].eta
+        positions = np.asarray(mesh.vertices, np.float64)
+        shapes.append(Shape(positions, mesh.faces, numbers.index(parent), float(eta), part.normals == "vertex"))
+    return fitting_bodies(shapes)
 
 
 def _attenuation(part: Part, side: float) -> float:

@@ -143,7 +143,7 @@ class _Run:
     ) -> None:
         self.data, self.learning, self.seed = data, learning, seed
         self.scene, box = data.scene, data.box
-        interior = interior_of(self.scene, box, settings.ray_turns > 0) if settings.ray_samples else None
+        interior = interior_of(self.scene, box, settings.interfaces > 0) if settings.ray_samples else None
         settings = settings if interior is None else with_fitting_grid(settings, interior)
         self.resume_settings = {
             **{f"network {name}": value for name, value in settings.as_json().items()},
@@ -340,9 +340,9 @@ def _settings_for(settings: NetworkSettings, scene: Scene) -> NetworkSettings:
     excludes that light from Ŝ.
     """
     if is_unrefracted(scene):
-        return replace(settings, tells_normal=False, ray_turns=0, lobes=0)
+        return replace(settings, tells_normal=False, interfaces=0, lobes=0)
     if not is_clear(scene, box_of(scene)):
-        return replace(settings, ray_turns=0, lobes=0)
+        return replace(settings, interfaces=0, lobes=0)
     return settings if interface_kind(scene) == ROUGH else replace(settings, lobes=0)
 
 

@@ -124,7 +124,7 @@ VARIANTS: dict[str, Variant] = {
     "6 samples of the ray": network(ray_samples=6),
     "24 samples of the ray": network(ray_samples=24),
     "no ray, light enters first, narrow spread": plain(**EARLY, feature_spread=0.09),
-    "view ray not refracted inside": network(ray_turns=0),
+    "view ray not refracted inside": network(interfaces=0),
     "values": stream(rays="values", walks=1, connections=4),
     "exits": stream(rays="exits"),
     "queries by area alone": stream(face_share=0.0),

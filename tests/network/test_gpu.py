@@ -28,7 +28,7 @@ pytestmark = WITHOUT_MESH
 
 SHIPPED = Path(shipped.__file__).parent
 SMALL_PAPER = replace(PRESETS["paper"], width=32)
-TURNING = replace(LOBED, ray_turns=2)
+TURNING = replace(LOBED, interfaces=2)
 COPIES, DIRECTIONS, BINS = 4, 16, 40
 TOLERANCE = {"float32": 1e-5, "bfloat16": 1e-2}
 

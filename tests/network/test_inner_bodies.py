@@ -11,25 +11,27 @@ import trimesh
 from numpy.typing import NDArray
 
 from formats.errors import ModelError
+from prt_bake.baking.job.identity import identity_of
 from prt_bake.network.bssrdf import NeuralBSSRDF, load_model, save_model
 from prt_bake.network.features.inner_bodies import (
     MOST_BYTES,
     STEPS,
     InnerBody,
+    Shape,
     fitting_bodies,
     packed_bodies,
     unpacked_bodies,
 )
 from prt_bake.network.features.interior import Interior
+from prt_bake.network.features.view_path import path_through
 from tests.network.test_view_path import REFLECTING, UNIT, cube, downwards, mesh_of
 
 RNG = np.random.default_rng(9)
-Shape = tuple[NDArray[np.float64], NDArray[np.int64], float]
 
 
-def sphere(subdivisions: int, eta: float = 1.2) -> Shape:
+def sphere(subdivisions: int, eta: float = 1.2, smooth: bool = False) -> Shape:
     mesh = trimesh.creation.icosphere(subdivisions, 0.25)
-    return np.asarray(mesh.vertices) + 0.5, np.asarray(mesh.faces, np.int64), eta
+    return Shape(np.asarray(mesh.vertices) + 0.5, np.asarray(mesh.faces, np.int64), 0, eta, smooth)
 
 
 def with_a_sphere(eta: float = 1.2) -> Interior:
@@ -45,8 +47,8 @@ def edges_of(faces: NDArray[np.uint32]) -> NDArray[np.int64]:
 
 
 def test_a_small_body_is_kept_to_a_step() -> None:
-    positions, faces, eta = sphere(2)
-    (body,) = fitting_bodies([(positions, faces, eta)])
+    positions, faces = sphere(2)[:2]
+    (body,) = fitting_bodies([sphere(2)])
     assert (len(body.places), len(body.faces), body.eta) == (len(positions), len(faces), 1.2)
     corners = body.places[body.faces] / STEPS
     assert np.abs(np.sort(corners.reshape(-1, 9), axis=0) - np.sort(positions[faces].reshape(-1, 9), axis=0)).max() < (
@@ -55,9 +57,9 @@ def test_a_small_body_is_kept_to_a_step() -> None:
 
 
 def test_a_large_body_is_coarser_closed_and_of_the_same_volume() -> None:
-    positions, faces, _eta = sphere(6)
+    positions, faces = sphere(6)[:2]
     positions = positions + 0.01 * RNG.normal(size=positions.shape)
-    bodies = fitting_bodies([(positions, faces, 1.2)])
+    bodies = fitting_bodies([sphere(6)._replace(positions=positions)])
     assert len(packed_bodies(bodies)) <= MOST_BYTES
     body = bodies[0]
     assert 500 < len(body.faces) < len(faces)
@@ -69,34 +71,50 @@ def test_a_large_body_is_coarser_closed_and_of_the_same_volume() -> None:
 
 
 def test_bodies_are_packed_without_loss() -> None:
-    bodies = fitting_bodies([sphere(1), sphere(0, 1.7)])
-    again = unpacked_bodies(json.loads(json.dumps([body.as_json() for body in bodies])), packed_bodies(bodies))
+    bodies = fitting_bodies([sphere(1), sphere(0, 1.7, smooth=True)])
+    again = unpacked_bodies(json.loads(json.dumps([body.as_json() for body in bodies])), packed_bodies(bodies), 2)
     for body, other in zip(bodies, again, strict=True):
         np.testing.assert_array_equal(body.places, other.places)
         np.testing.assert_array_equal(body.faces, other.faces)
-        assert body.eta == other.eta
+        assert body[2:] == other[2:]
     assert fitting_bodies([]) == ()
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"vertices": 41}, "bodies hold"),
-        ({"faces": -1}, "0 to 1048576 vertices and faces"),
-        ({"vertices": 1 << 40}, "0 to 1048576 vertices and faces"),
-        ({"eta": float("nan")}, "0 to 1048576 vertices and faces"),
+        ({"vertices": 41}, "meshes hold"),
+        ({"faces": -1}, "faces of mesh 1 inside: expected 0 to 262144, found -1"),
+        ({"vertices": 1 << 40}, "vertices of mesh 1 inside"),
+        ({"eta": float("nan")}, "eta of mesh 1 inside: expected above 0, at most 5, found nan"),
+        ({"parent": 1}, "parent of mesh 1 inside: expected 0 to 0, found 1"),
+        ({"smooth": 1}, "smooth of mesh 1 inside: expected true or false"),
     ],
 )
 def test_inconsistent_bodies_are_refused(change: dict[str, float], message: str) -> None:
     bodies = fitting_bodies([sphere(1)])
     with pytest.raises(ModelError, match=message):
-        unpacked_bodies([bodies[0].as_json() | change], packed_bodies(bodies))
+        unpacked_bodies([bodies[0].as_json() | change], packed_bodies(bodies), 1)
+    with pytest.raises(ModelError, match="expected 2 meshes inside, found 1"):
+        unpacked_bodies([bodies[0].as_json()], packed_bodies(bodies), 2)
 
 
 def test_faces_beyond_the_vertices_are_refused() -> None:
-    body = InnerBody(np.zeros((3, 3), np.uint16), np.array([[0, 1, 3]], np.uint32), 1.0)
+    body = InnerBody(np.zeros((3, 3), np.uint16), np.array([[0, 1, 3]], np.uint32), 0, 1.0, False)
     with pytest.raises(ModelError, match="vertex 3, expected below 3"):
-        unpacked_bodies([body.as_json()], packed_bodies((body,)))
+        unpacked_bodies([body.as_json()], packed_bodies((body,)), 1)
+
+
+def test_smooth_bodies_bend_rays_as_smooth_surfaces() -> None:
+    """A ball of glass in a medium of index 1: coarse facets bend a ray elsewhere."""
+    x, towards = np.array([[0.4, 0.45, 1.0]]), np.array([[0.0, 0.0, -1.0]])
+    ways = []
+    for subdivisions, smooth in ((5, False), (2, True), (2, False)):
+        inner = fitting_bodies([sphere(subdivisions, 1.5, smooth)])
+        interior = replace(cube(0.2, eta=1.0, inner=True), attenuation=(0.2, 0.1), inner=inner)
+        path = path_through(UNIT, interior, REFLECTING)
+        ways.append(path(torch.from_numpy(x), torch.from_numpy(-towards)).leaving.numpy())
+    assert np.linalg.norm(ways[1] - ways[0]) < 0.3 * np.linalg.norm(ways[2] - ways[0])
 
 
 def test_each_body_needs_its_mesh() -> None:
@@ -119,15 +137,19 @@ def test_a_model_keeps_what_is_seen_in_the_object(tmp_path: Path) -> None:
     assert float((encodings[0].points - empty.points).abs().max()) > 0.1
 
 
-def test_the_interior_s_hash_depends_on_what_is_inside() -> None:
-    hashes = {with_a_sphere(eta).content_hash for eta in (1.2, 1.3)} | {cube(0.2, inner=True).content_hash}
-    assert len(hashes) == 3
+def test_hashes_depend_on_what_is_inside() -> None:
+    """Also that by which a resumed bake recognises its network."""
+    moved = with_a_sphere()
+    places = moved.inner[0].places.copy()
+    places[3] += 1
+    interiors = [with_a_sphere(), with_a_sphere(1.3), replace(moved, inner=(moved.inner[0]._replace(places=places),))]
+    assert len({interior.content_hash for interior in interiors}) == 3
+    mesh = mesh_of(UNIT)
+    assert len({identity_of(NeuralBSSRDF(REFLECTING, interior=each), mesh, {}) for each in interiors}) == 3
 
 
-def test_a_file_without_the_meshes_inside_is_refused(tmp_path: Path) -> None:
+def test_bodies_without_their_meshes_are_refused() -> None:
     """Rays that do not see the bodies would give another object in silence."""
-    save_model(NeuralBSSRDF(REFLECTING, interior=cube(0.2, inner=True)), tmp_path / "old.pt")
-    with pytest.raises(ModelError, match=r"old.pt: .*its file lacks these meshes.*train the model again"):
-        load_model(tmp_path / "old.pt")
-    save_model(NeuralBSSRDF(replace(REFLECTING, ray_turns=0), interior=cube(0.2, inner=True)), tmp_path / "dense.pt")
-    load_model(tmp_path / "dense.pt")
+    with pytest.raises(ModelError, match=r"followed through 2 bodies .* needs the meshes of those inside; found 0"):
+        NeuralBSSRDF(REFLECTING, interior=cube(0.2, inner=True))
+    NeuralBSSRDF(replace(REFLECTING, interfaces=0), interior=cube(0.2, inner=True))

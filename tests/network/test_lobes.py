@@ -28,7 +28,7 @@ from tests.trainer import small_training
 
 pytestmark = WITHOUT_MESH
 
-LOBED = replace(PRESETS["measured"], features=9, width=12, light_features=4, ray_turns=0, lobes=3)
+LOBED = replace(PRESETS["measured"], features=9, width=12, light_features=4, interfaces=0, lobes=3)
 SPACING = 0.02
 
 
@@ -89,7 +89,7 @@ def test_parameters_of_zero_give_a_faint_lobe_along_the_exit() -> None:
 @pytest.mark.parametrize("eta", [0.8, 1.0, 1.4])
 def test_rays_leave_a_ball_by_snells_law(eta: float, turns: int) -> None:
     """A chord of a ball has the same angle at both ends: a ray is refracted twice by the same angle."""
-    view = ViewFeatures(replace(LOBED, ray_turns=turns), torch.zeros((LOBED.features, 6)), glass_ball(eta))
+    view = ViewFeatures(replace(LOBED, interfaces=turns), torch.zeros((LOBED.features, 6)), glass_ball(eta))
     normal, eye = uniform(400, 21), uniform(400, 22)
     cosine = np.sum(normal * eye, axis=1)
     visible = cosine > (0.7 if eta < 1.0 else 0.1)

@@ -2,6 +2,7 @@
 
 import pickle
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,14 @@ from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF
 from prt_bake.network.features.interior import LEVELS, REACH, Interior
 from prt_bake.network.features.refraction import normals
 from prt_bake.network.features.view_features import ViewFeatures
-from prt_bake.network.features.view_path import Body, PathSamples, ViewPath, face_normals, known_paths
+from prt_bake.network.features.view_path import (
+    Body,
+    PathSamples,
+    ViewPath,
+    face_normals,
+    known_paths,
+    media_of_masks,
+)
 from prt_bake.trainer.train import train
 from tests.shapes import ball
 from tests.tracer.scenes import make_scene
@@ -51,7 +59,16 @@ def view_of(interior: Interior, chosen: NetworkSettings = REFLECTING, torch_only
 
 def box(low: Sequence[float], high: Sequence[float]) -> Body:
     mesh = trimesh.creation.box(bounds=np.array([low, high]))
-    return Body.flat(np.asarray(mesh.vertices, np.float64), mesh.faces)
+    return Body(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64))
+
+
+def paths(
+    bodies: list[Body], eta: list[float], attenuation: list[float], samples: int, most: int, parents: Sequence[int] = ()
+) -> ViewPath:
+    """Each body is in the one before, unless parents are given."""
+    above = parents or range(-1, len(bodies) - 1)
+    media = zip(bodies, above, eta, attenuation, strict=True)
+    return ViewPath([b._replace(parent=p, eta=n, attenuation=a) for b, p, n, a in media], samples, most)
 
 
 def mesh_of(body: Body) -> Mesh:
@@ -90,7 +107,7 @@ def trapped(count: int) -> tuple[Array, Array]:
 def test_a_trapped_path_is_reflected_as_by_mirrors() -> None:
     """In a cube of mirrors paths are straight lines in unfolded space."""
     x, towards = trapped(200)
-    lengths, points, opacity, _leaving = found(ViewPath([UNIT], [1.5], [0.5], 20, 16), x, towards)
+    lengths, points, opacity, _leaving = found(paths([UNIT], [1.5], [0.5], 20, 16), x, towards)
     straight = x[:, None] + lengths[..., None] * towards[:, None]
     np.testing.assert_allclose(points, np.abs((straight + 1.0) % 2.0 - 1.0), atol=2e-5)
     assert opacity.min() > 0.98
@@ -101,7 +118,7 @@ def test_a_path_leaves_within_the_critical_angle_by_snells_law() -> None:
     x = np.tile([0.1, 0.1, 1.0], (3, 1))
     sines = np.array([0.0, 0.3, 0.6])
     towards = np.column_stack([sines * 0.6, sines * 0.8, -np.sqrt(1.0 - sines**2)])
-    lengths, points, opacity, leaving = found(ViewPath([UNIT], [1.5], [0.7], 5, 16), x, towards)
+    lengths, points, opacity, leaving = found(paths([UNIT], [1.5], [0.7], 5, 16), x, towards)
     outside = 1.5 * sines
     expected = np.column_stack([outside * 0.6, outside * 0.8, -np.sqrt(1.0 - outside**2)])
     np.testing.assert_allclose(leaving, expected, atol=1e-6)
@@ -113,7 +130,7 @@ def test_a_path_leaves_within_the_critical_angle_by_snells_law() -> None:
 
 def test_nothing_is_reflected_where_the_index_inside_is_lower() -> None:
     x, towards = trapped(100)
-    opacity = found(ViewPath([UNIT], [0.7], [0.5], 4, 16), x, towards)[2]
+    opacity = found(paths([UNIT], [0.7], [0.5], 4, 16), x, towards)[2]
     ahead = np.where(towards > 0.0, 1.0 - x, x) / np.abs(towards)
     np.testing.assert_allclose(opacity, -np.expm1(-0.5 * ahead.min(axis=1)), rtol=1e-5)
 
@@ -123,7 +140,7 @@ def test_a_slab_shifts_a_path_and_keeps_its_direction() -> None:
     x = np.array([[0.3, 0.5, 1.0]])
     towards = np.array([[0.4, 0.0, -np.sqrt(1.0 - 0.16)]])
     slab = box((-1.0, -1.0, 0.4), (2.0, 2.0, 0.6))
-    lengths, points, opacity, leaving = found(ViewPath([UNIT, slab], [1.5, 1.2], [0.0, 3.0], 8, 16), x, towards)
+    lengths, points, opacity, leaving = found(paths([UNIT, slab], [1.5, 1.2], [0.0, 3.0], 8, 16), x, towards)
     sine = 0.4 * 1.5 / 1.2
     cosine = np.sqrt(1.0 - sine**2)
     np.testing.assert_allclose(opacity, -np.expm1(-3.0 * 0.2 / cosine), rtol=1e-5)
@@ -137,8 +154,8 @@ def test_a_slab_shifts_a_path_and_keeps_its_direction() -> None:
 def test_matched_bodies_bend_nothing_and_do_not_count_as_interfaces() -> None:
     x, towards = trapped(50)
     inner = [box((0.2, 0.2, low), (0.8, 0.8, low + 0.1)) for low in (0.1, 0.4, 0.7)]
-    plain = found(ViewPath([UNIT], [1.5], [0.4], 6, 3), x, towards)
-    matched = found(ViewPath([UNIT, *inner], [1.5] * 4, [0.4] * 4, 6, 3), x, towards)
+    plain = found(paths([UNIT], [1.5], [0.4], 6, 3), x, towards)
+    matched = found(paths([UNIT, *inner], [1.5] * 4, [0.4] * 4, 6, 3, (-1, 0, 0, 0)), x, towards)
     for part, other in zip(plain, matched, strict=True):
         np.testing.assert_allclose(part, other, atol=2e-5)
 
@@ -148,7 +165,7 @@ def test_an_opaque_body_ends_a_path_in_the_mirror_image() -> None:
     eye, x = np.array([[0.9, 0.0, np.sqrt(1.0 - 0.81)]]), np.array([[0.15, 0.5, 1.0]])
     normal = np.array([[0.0, 0.0, 1.0]])
     slab = box((-1.0, -1.0, 0.4), (2.0, 2.0, 0.6))
-    path = ViewPath([UNIT, slab], [1.5, 1.5], [0.0, 1e4], REFLECTING.ray_samples, 16)
+    path = paths([UNIT, slab], [1.5, 1.5], [0.0, 1e4], REFLECTING.ray_samples, 16)
     view = view_of(cube(inner=True))
     encoding = view.encode(*map(torch.from_numpy, (x, eye, normal)), path)
     np.testing.assert_allclose(encoding.points[0, :, 2], 0.6, atol=1e-3)
@@ -168,12 +185,14 @@ def _nearest(corners: Array, p: Array, d: Array) -> tuple[int, float]:
     return int(np.argmin(t)), float(t.min())
 
 
-def _second_opinion(bodies: list[Body], eta: list[float], attenuation: list[float], x: Array, d: Array) -> float:
-    """Optical depth of a path, by vectors instead of by components."""
+def _second_opinion(
+    bodies: list[Body], eta: list[float], attenuation: list[float], x: Array, d: Array
+) -> tuple[float, Array]:
+    """Optical depth and first leaving direction of a path, by vectors instead of by components."""
     corners = np.concatenate([body.positions[body.faces] for body in bodies])
     owner = np.repeat(np.arange(len(bodies)), [len(body.faces) for body in bodies])
     index, density = {-1: 1.0, **dict(enumerate(eta))}, {-1: 0.0, **dict(enumerate(attenuation))}
-    inside, depth, met = {0}, 0.0, 0
+    inside, depth, met, first, leaving = {0}, 0.0, 0, d, None
     while met <= 16 and depth < 12.0:
         face, t = _nearest(corners, x, d)
         if not np.isfinite(t):
@@ -191,7 +210,8 @@ def _second_opinion(bodies: list[Body], eta: list[float], attenuation: list[floa
             inside = other
         else:
             d = across - (d @ n) * n
-    return depth
+        leaving = d if leaving is None and not inside else leaving
+    return depth, first if leaving is None else leaving
 
 
 def test_a_second_implementation_finds_the_same_optical_depths() -> None:
@@ -200,19 +220,63 @@ def test_a_second_implementation_finds_the_same_optical_depths() -> None:
     bodies = []
     for *centre, radius in shapes:
         mesh = trimesh.creation.icosphere(2, radius)
-        bodies.append(Body.flat(np.asarray(mesh.vertices, np.float64) + centre, mesh.faces))
+        bodies.append(Body(np.asarray(mesh.vertices, np.float64) + centre, np.asarray(mesh.faces, np.int64)))
     eta, attenuation = [1.5, 1.33, 1.1, 1.8], [0.3, 1.5, 6.0, 2.0]
     corners = bodies[0].positions[bodies[0].faces][::4]
     x = corners.mean(axis=1)
     towards = RNG.normal(size=x.shape)
     towards *= -np.sign((towards * face_normals(bodies[0].positions, bodies[0].faces)[::4]).sum(1, keepdims=True))
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    opacity = found(ViewPath(bodies, eta, attenuation, 4, 16), x, towards)[2]
-    expected = [_second_opinion(bodies, eta, attenuation, p, d) for p, d in zip(x, towards, strict=True)]
-    apart = np.abs(opacity + np.expm1(-np.array(expected)))
+    _lengths, _points, opacity, leaving = found(paths(bodies, eta, attenuation, 4, 16, (-1, 0, 1, 0)), x, towards)
+    opinions = [_second_opinion(bodies, eta, attenuation, *ray) for ray in zip(x, towards, strict=True)]
+    expected, ahead = [depth for depth, _ in opinions], np.array([leaves for _, leaves in opinions])
+    apart = np.abs(opacity + np.expm1(-np.array(expected))) + np.linalg.norm(leaving - ahead, axis=1)
     # Near the critical angle, or an edge, rounding decides.
     assert np.mean(apart < 1e-4) > 0.97
     assert np.std(expected) > 0.5
+
+
+def test_bodies_that_touch_the_surface_are_seen() -> None:
+    """The face of the body that coincides with the surface is not met; the one behind it tells that it was inside."""
+    x, towards = downwards(300)
+    below = box((0.05, 0.05, 0.5), (0.95, 0.95, 1.0))
+    opacity = found(paths([UNIT, below], [1.5, 1.5], [0.0, 1e4], 4, 16), x, towards)[2]
+    np.testing.assert_allclose(opacity, 1.0)
+
+
+def test_a_body_ends_where_the_one_around_it_ends() -> None:
+    """A rod from z = 0.1 to 0.9 in a slab from 0.4 to 0.6: it bends and absorbs nothing outside of the slab."""
+    slab, rod = box((-1.0, -1.0, 0.4), (2.0, 2.0, 0.6)), box((0.2, 0.2, 0.1), (0.8, 0.8, 0.9))
+    x, towards = np.array([[0.45, 0.5, 1.0]]), np.array([[0.0, 0.0, -1.0]])
+    clipped = found(paths([UNIT, slab, rod], [1.5, 1.5, 1.9], [0.0, 0.0, 2.0], 4, 16), x, towards)
+    np.testing.assert_allclose(clipped[2], -np.expm1(-0.4), rtol=1e-5)
+    loose = found(paths([UNIT, slab, rod], [1.5, 1.5, 1.9], [0.0, 0.0, 2.0], 4, 16, (-1, 0, 0)), x, towards)
+    np.testing.assert_allclose(loose[2], -np.expm1(-1.6), rtol=1e-5)
+
+
+def test_media_are_those_of_scenes() -> None:
+    """The last body counts whose surroundings count, as `prt_bake.tracer.prepared` decides for parts."""
+    media = media_of_masks([-1, 0, 1, 0])
+    expected = {0: 0, 0b0001: 1, 0b0011: 2, 0b0111: 3, 0b0101: 1, 0b1111: 4, 0b1110: 0}
+    assert {mask: int(media[mask]) for mask in expected} == expected
+
+
+def test_a_wall_next_to_an_edge_is_met() -> None:
+    """From just beside an edge a path soon meets the other wall from inside, and is reflected there."""
+    x, towards = np.array([[1e-6, 0.5, 1.0]]), np.array([[-0.6, 0.0, -0.8]])
+    _lengths, points, opacity, _leaving = found(paths([UNIT], [1.7], [3.0], 4, 16), x, towards)
+    assert opacity[0] > 0.9
+    assert (points[0, :, 0] >= -1e-5).all()
+
+
+def test_calls_of_several_threads_agree() -> None:
+    x, towards = trapped(500)
+    path = paths([UNIT], [1.5], [0.5], 4, 16)
+    with ThreadPoolExecutor(4) as pool:
+        results = list(pool.map(lambda _: found(path, x, towards), range(8)))
+    for result in results[1:]:
+        for part, other in zip(results[0], result, strict=True):
+            np.testing.assert_array_equal(part, other)
 
 
 def test_paths_bend_at_interpolated_normals() -> None:
@@ -221,7 +285,9 @@ def test_paths_bend_at_interpolated_normals() -> None:
     positions, faces = np.asarray(mesh.vertices) + 0.5, np.asarray(mesh.faces)
     smooth = Body(positions, faces.astype(np.int64), 2.0 * (positions[faces] - 0.5))
     x, d = np.array([[0.5, 0.5, 1.0]]), np.array([[0.5, 0.1, -np.sqrt(1.0 - 0.26)]])
-    leaving = [found(ViewPath([body], [1.5], [0.1], 4, 16), x, d)[3] for body in (smooth, Body.flat(positions, faces))]
+    leaving = [
+        found(paths([body], [1.5], [0.1], 4, 16), x, d)[3] for body in (smooth, Body(positions, faces.astype(np.int64)))
+    ]
     chord = x + 2.0 * ((0.5 - x) * d).sum() * d - 0.5
     n = chord / np.linalg.norm(chord)
     across = 1.5 * (d - (d * n).sum() * n)
@@ -232,7 +298,7 @@ def test_paths_bend_at_interpolated_normals() -> None:
 
 def test_paths_are_pickled_copied_and_packed() -> None:
     x, towards = downwards(30)
-    path = ViewPath([UNIT], [1.5], [0.5], 4, 16)
+    path = paths([UNIT], [1.5], [0.5], 4, 16)
     assert deepcopy(path) is path
     at = torch.from_numpy(x), torch.from_numpy(-towards)
     samples = path(*at)
@@ -269,7 +335,7 @@ def test_a_network_follows_paths_on_its_mesh_alone() -> None:
     straight = network.view.encode(*at, normal) if network.view is not None else None
     assert straight is not None
     assert float((straight.points - encoding.points).abs().max()) > 0.3
-    unbent = NeuralBSSRDF(replace(REFLECTING, ray_turns=0), (0.0, 0.0, 0.0), 1.0, 1.0, {}, cube(0.5)).on(mesh)
+    unbent = NeuralBSSRDF(replace(REFLECTING, interfaces=0), (0.0, 0.0, 0.0), 1.0, 1.0, {}, cube(0.5)).on(mesh)
     assert unbent.path is None
 
 
@@ -292,8 +358,19 @@ def test_normals_of_a_wall_are_exact() -> None:
 
 
 def test_a_negative_number_of_interfaces_is_refused() -> None:
-    with pytest.raises(ModelError, match="ray_samples and ray_turns must not be negative"):
-        replace(REFLECTING, ray_turns=-1)
+    with pytest.raises(ModelError, match="ray_samples and interfaces must not be negative"):
+        replace(REFLECTING, interfaces=-1)
+
+
+def test_an_older_network_of_a_clear_object_is_refused() -> None:
+    """Its rays were reflected in a coarse grid: it would give other values in silence."""
+    values = REFLECTING.as_json()
+    del values["interfaces"]
+    assert NetworkSettings.from_json(values | {"ray_turns": 0}).interfaces == 0
+    with pytest.raises(ModelError, match="followed in the meshes; train the model again"):
+        NetworkSettings.from_json(values | {"ray_turns": 4})
+    with pytest.raises(ModelError, match="interfaces needs tells_normal"):
+        replace(REFLECTING, tells_normal=False)
 
 
 @pytest.mark.statistics
@@ -314,4 +391,4 @@ def test_training_follows_paths_in_clear_refracting_objects(
         stream=small_training.STREAM,
         learning=small_training.LEARNING,
     )
-    assert network.settings.ray_turns == turns
+    assert network.settings.interfaces == turns

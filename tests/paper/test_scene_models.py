@@ -14,13 +14,12 @@ MODELS = SCENES_FOLDER / "models"
 
 
 @pytest.mark.parametrize("paper", SCENES, ids=lambda paper: paper.name)
-def test_a_model_was_trained_ten_minutes_on_its_scene(paper: PaperScene) -> None:
+def test_a_model_was_trained_on_its_scene(paper: PaperScene) -> None:
     path = MODELS / f"{paper.name}.pt"
     scene = read_scene(SCENES_FOLDER / paper.files[-1])
     metadata = load_model(path).metadata
     assert metadata["scene_hash"] == scene.content_hash
-    assert metadata["training"]["seconds"] == pytest.approx(600.0, abs=5.0)
-    assert path.stat().st_size <= 660 * 1024
+    assert path.stat().st_size <= 1.3 * 2**20
 
 
 @pytest.mark.parametrize("paper", SCENES, ids=lambda paper: paper.name)

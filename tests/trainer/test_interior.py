@@ -42,7 +42,7 @@ def test_the_grid_s_normals_of_wide_faces_are_exact(tmp_path: Path) -> None:
     box = trimesh.creation.box((1.0, 0.8, 0.6))
     scene = make_scene(tmp_path, build_mesh(box.vertices, box.faces), eta=1.5, sigma_t=2.0)
     interior = interior_of(scene, box_of(scene))
-    network = NeuralBSSRDF(replace(PRESETS["measured"], ray_turns=4), *box_of(scene), interior=interior)
+    network = NeuralBSSRDF(replace(PRESETS["measured"], interfaces=4), *box_of(scene), interior=interior)
     assert network.view is not None
     at = np.random.default_rng(2).uniform(0.1, 0.5, (200, 3))
     for axis, side in enumerate((1.0, 0.8, 0.6)):

@@ -16,8 +16,8 @@ POSITIONS, DIRECTIONS = 4, 16
 def identity_of(transport: Any, mesh: Mesh, provenance: dict[str, Any]) -> tuple[str, int]:
     """A hash that identifies the transport, and the number of evaluations that it took.
 
-    Hashes the source file, a network's weights, the scene of a path tracer (whose estimates are random), or the values
-    of the transport at a few vertices.
+    Hashes the source file, a network's weights and interior, the scene of a path tracer (whose estimates are random),
+    or the values of the transport at a few vertices.
     """
     if "source_sha256" in provenance:
         return str(provenance["source_sha256"]), 0
@@ -26,6 +26,9 @@ def identity_of(transport: Any, mesh: Mesh, provenance: dict[str, Any]) -> tuple
     if hasattr(network, "state_dict"):
         for name, tensor in network.state_dict().items():
             digest.update(name.encode() + tensor.detach().cpu().numpy().tobytes())
+        view = getattr(network, "view", None)
+        if view is not None:
+            digest.update(view.interior.content_hash.encode())
         return digest.hexdigest(), 0
     if transport_kind(transport) == "coefficients":
         digest.update(str((getattr(transport, "metadata", None) or {}).get("scene_hash")).encode())

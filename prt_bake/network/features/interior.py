@@ -89,7 +89,7 @@ class Interior:
             "spacing": self.spacing,
             "attenuation": list(self.attenuation),
             "eta": self.eta,
-            "inner": [body.as_json() for body in self.inner],
+            **({"inner": [body.as_json() for body in self.inner]} if self.inner else {}),
         }
 
     def packed(self) -> Tensor:
@@ -114,7 +114,7 @@ class Interior:
         x, y, z = (float(n) for n in values["corner"])
         levels = np.frombuffer(unpacked_bytes(packed, size, "grids"), np.int8).reshape(places)
         attenuation = tuple(float(n) for n in values["attenuation"])
-        bodies = () if inner is None else unpacked_bodies(values["inner"], inner)
+        bodies = () if inner is None else unpacked_bodies(values["inner"], inner, places[0] - 1)
         interior = Interior(levels, (x, y, z), float(values["spacing"]), attenuation, float(values["eta"]), bodies)
         extent = interior.spacing * max(places[1:])
         if max(abs(x), abs(y), abs(z), extent, interior.eta) > MAX_EXTENT:

@@ -8,10 +8,11 @@ import numpy as np
 from prt_bake.geometry.embree import nearest_hit, new_ray
 from prt_bake.jit.compilation import compiled
 
-OPAQUE_DEPTH = 12.0
+_OPAQUE_DEPTH = 12.0
 """Optical depth after which a path ends: what lies behind it is not seen."""
 _NEAR = 1e-5
-"""Hits nearer to x, in box sides, are with the face on which x lies."""
+"""Faces that the path enters nearer to x, in box sides, are those on which x lies."""
+_APART = 1e-7
 _SAME_INDEX = 1e-9
 _SEGMENTS_AN_INTERFACE = 8
 """Room for segments: between two interfaces a path may cross matched bodies."""
@@ -36,8 +37,8 @@ def path_rows(
 ) -> None:
     """Sets lengths [N,K], points [N,K,3], opacity [N] and leaving [N,3] of paths first … last − 1.
 
-    They start at positions [N,3] on the surface along unit vectors towards [N,3], inside, and meet at most `most`
-    interfaces. `tables` are `view_path.Tables`.
+    They start at positions [N,3] on the surface along unit vectors towards [N,3], inside, and are bent or reflected at
+    most `most` times. `tables` are `view_path.Tables`.
     """
     segments = np.empty((_SEGMENTS_AN_INTERFACE * (most + 1), _SEGMENT_SIZE))
     ray, p, d, normal = new_ray(), np.empty(3), np.empty(3), np.empty(3)
@@ -64,30 +65,37 @@ def _follow(
     segments: Any,
     leaving: Any,
 ) -> int:
-    """Fills `segments` of a path from p along d, and the direction in which it first leaves; returns their number."""
-    _bodies, _normals, _corners, eta, attenuation = tables
-    inside, met, count, left = 1, 0, 0, False
-    length, depth, near, skip = 0.0, 0.0, _NEAR, -1
-    while met <= most and count < len(segments) and depth < OPAQUE_DEPTH:
+    """Fills `segments` of a path from p along d, and the direction in which it first leaves; returns their number.
+
+    A face that is met from behind was reached from inside its body: this corrects the bodies that contain the path,
+    where these touch, or where a ray slipped through an edge.
+    """
+    bodies, normals, _corners, media, eta, attenuation = tables
+    inside, bent, count, left = 1, 0, 0, False
+    length, depth, near, skip = 0.0, 0.0, 0.0, -1
+    while bent <= most and count < len(segments) and depth < _OPAQUE_DEPTH:
         face, t = nearest_hit(address, scene, ray, p, d, near, np.inf, skip)
         if face < 0:
             break
-        here = _innermost(inside)
+        bit = 1 << bodies[face]
+        leaves = d[0] * normals[face, 0] + d[1] * normals[face, 1] + d[2] * normals[face, 2] > 0.0
+        before, behind = (inside | bit, inside & ~bit) if leaves else (inside & ~bit, inside | bit)
+        if not leaves and bodies[face] == 0 and length + t < _NEAR:
+            near = t + _APART
+            continue
+        here, there = media[before], media[behind]
         depth += attenuation[here] * t
         _append(segments, count, length, length + t, depth, p, d)
         count, length = count + 1, length + t
         for k in range(3):
             p[k] += t * d[k]
-        other = _across(tables, face, d, inside)
-        ratio = eta[here] / eta[_innermost(other)]
-        if abs(ratio - 1.0) < _SAME_INDEX:
-            inside = other
-        else:
-            met += 1
+        ratio, inside = eta[here] / eta[there], behind
+        if abs(ratio - 1.0) > _SAME_INDEX:
+            bent += 1
             _facing_normal(tables, face, ray[15], ray[16], d, normal)
-            if _bend(ratio, normal, d):
-                inside = other
-        if inside == 0 and not left:
+            if not _bend(ratio, normal, d):
+                inside = before
+        if media[inside] == 0 and not left:
             left = True
             for k in range(3):
                 leaving[k] = d[k]
@@ -104,27 +112,9 @@ def _append(segments: Any, count: Any, begin: Any, end: Any, depth: Any, p: Any,
 
 
 @compiled(nogil=True)
-def _innermost(inside: Any) -> int:
-    """The medium of a point in the bodies of a bit mask: 0 outside, else the number of the last of them, from 1."""
-    number = 0
-    while inside > 0:
-        number, inside = number + 1, inside >> 1
-    return number
-
-
-@compiled(nogil=True)
-def _across(tables: Any, face: Any, d: Any, inside: Any) -> Any:
-    """The bit mask of the bodies that contain the points behind a face that is met along d."""
-    bodies, normals, _corners, _eta, _attenuation = tables
-    bit = 1 << bodies[face]
-    leaves = d[0] * normals[face, 0] + d[1] * normals[face, 1] + d[2] * normals[face, 2] > 0.0
-    return inside & ~bit if leaves else inside | bit
-
-
-@compiled(nogil=True)
 def _facing_normal(tables: Any, face: Any, u: Any, v: Any, d: Any, normal: Any) -> None:
     """The normal at (u, v) of a face on the side from which d comes, the face's own if that is on the other side."""
-    _bodies, normals, corners, _eta, _attenuation = tables
+    _bodies, normals, corners, _media, _eta, _attenuation = tables
     ahead, across, squared = 0.0, 0.0, 0.0
     for k in range(3):
         normal[k] = (1.0 - u - v) * corners[face, 0, k] + u * corners[face, 1, k] + v * corners[face, 2, k]

@@ -99,7 +99,7 @@ class ViewFeatures(nn.Module):
             ("frequencies", frequencies.detach().float()),
             ("levels", torch.from_numpy(interior.levels.astype("float32")) / LEVELS),
             ("corner", torch.tensor(interior.corner, dtype=torch.float32)),
-            ("edges", interval_edges(interior, settings.ray_turns > 0)),
+            ("edges", interval_edges(interior, settings.interfaces > 0)),
             ("shape", shape_grid(interior) if self._has_shape else torch.empty(0)),
         ):
             self.register_buffer(name, tensor, persistent=False)

@@ -7,7 +7,6 @@ found in the meshes themselves, by Embree, and not in the network's coarse grids
 """
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +20,8 @@ from prt_bake.network.features.interior import Interior
 from prt_bake.network.settings import NetworkSettings
 
 Array = NDArray[np.float64]
+_LEAST_A_THREAD = 4096
+"""Paths per thread at least: callers with fewer run in threads of their own."""
 
 
 class PathSamples(NamedTuple):
@@ -60,55 +61,63 @@ def known_paths(rows: Tensor) -> PathTracer | None:
 
 
 class Tables(NamedTuple):
-    """What kernels know of F faces: body [F], face normals [F,3] and normals at the corners [F,3,3]; of media, that
-    outside first: index of refraction and attenuation per box side.
+    """What kernels know: of F faces the body [F], the normals [F,3] and those at the corners [F,3,3]; the medium at a
+    point in the bodies of a bit mask; of media, that outside first, the index of refraction and the attenuation per box
+    side.
     """
 
     bodies: NDArray[np.int64]
     normals: Array
     corners: Array
+    media: NDArray[np.int64]
     eta: Array
     attenuation: Array
 
 
 class Body(NamedTuple):
-    """A closed mesh in box sides from the box's corner: positions [V,3], faces [F,3] and normals at corners [F,3,3]."""
+    """A closed mesh with a medium.
+
+    Attributes:
+        positions, faces: [V,3] in box sides from the box's corner, and [F,3] counter-clockwise seen from outside.
+        corners: normals [F,3,3] at the corners by which rays are bent; None for the normals of the faces.
+        parent: number of the body that contains it; −1 for the object.
+        eta, attenuation: index of refraction, and attenuation per box side.
+    """
 
     positions: Array
     faces: NDArray[np.int64]
-    corners: Array
-
-    @staticmethod
-    def flat(positions: Array, faces: NDArray[Any]) -> "Body":
-        """A body with the normals of its faces."""
-        faces = faces.astype(np.int64)
-        return Body(positions, faces, np.repeat(face_normals(positions, faces)[:, None], 3, axis=1))
+    corners: Array | None = None
+    parent: int = -1
+    eta: float = 1.0
+    attenuation: float = 0.0
 
 
 class ViewPath:
     """Finds the paths of view rays through an object and bodies inside it."""
 
-    def __init__(
-        self, bodies: Sequence[Body], eta: Sequence[float], attenuation: Sequence[float], samples: int, most: int
-    ) -> None:
-        """The object, then what it contains, a body after the one that contains it, with the index of refraction and
-        the attenuation per box side of each. Paths have `samples` points and meet at most `most` interfaces.
+    def __init__(self, bodies: Sequence[Body], samples: int, most: int) -> None:
+        """The object, then what it contains, a body after the one that contains it. Paths have `samples` points and are
+        bent or reflected at most `most` times.
         """
-        self._arguments = tuple(bodies), tuple(eta), tuple(attenuation), samples, most
-        firsts = np.cumsum([0, *(len(body.positions) for body in bodies)])
-        self._positions = np.concatenate([body.positions for body in bodies])
-        self._faces = np.concatenate([body.faces + first for body, first in zip(bodies, firsts, strict=False)])
-        numbers = np.repeat(np.arange(len(bodies)), [len(body.faces) for body in bodies])
-        corners = np.ascontiguousarray(np.concatenate([body.corners for body in bodies]), np.float64)
-        outside = np.array([1.0, *eta]), np.array([0.0, *attenuation])
-        self._tables = Tables(numbers, face_normals(self._positions, self._faces), corners, *outside)
-        self._samples, self._most = samples, most
-
-    @cached_property
-    def _scene(self) -> Any:
         from prt_bake.geometry.embree import TriangleScene
 
-        return TriangleScene(self._positions.astype(np.float32), self._faces.astype(np.uint32))
+        self._arguments = tuple(bodies), samples, most
+        firsts = np.cumsum([0, *(len(body.positions) for body in bodies)])
+        positions = np.concatenate([body.positions for body in bodies])
+        faces = np.concatenate([body.faces + first for body, first in zip(bodies, firsts, strict=False)])
+        numbers = np.repeat(np.arange(len(bodies)), [len(body.faces) for body in bodies])
+        flat = [np.repeat(face_normals(body.positions, body.faces)[:, None], 3, axis=1) for body in bodies]
+        corners = [own if body.corners is None else body.corners for own, body in zip(flat, bodies, strict=True)]
+        self._tables = Tables(
+            numbers,
+            face_normals(positions, faces),
+            np.ascontiguousarray(np.concatenate(corners), np.float64),
+            media_of_masks([body.parent for body in bodies]),
+            np.array([1.0, *(body.eta for body in bodies)]),
+            np.array([0.0, *(body.attenuation for body in bodies)]),
+        )
+        self._samples, self._most = samples, most
+        self._scene = TriangleScene(positions.astype(np.float32), faces.astype(np.uint32))
 
     def __call__(self, x: Tensor, back: Tensor) -> PathSamples:
         """The paths of rays from x [N,3] along −back [N,3]; both on any device, found by the processor."""
@@ -119,7 +128,7 @@ class ViewPath:
         count, samples = len(starts), self._samples
         found = [np.empty(shape, np.float32) for shape in ((count, samples), (count, samples, 3), count, (count, 3))]
         fixed = intersect_address(), self._scene.handle, tuple(self._tables), self._most
-        in_threads(path_rows, count, *fixed, starts, towards, *found, least=64)
+        in_threads(path_rows, count, *fixed, starts, towards, *found, least=_LEAST_A_THREAD)
         return PathSamples._make(torch.from_numpy(rows).to(x.device) for rows in found)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -133,13 +142,36 @@ class ViewPath:
 
 def path_through(outer: Body, interior: Interior, settings: NetworkSettings) -> ViewPath:
     """The paths through an object of which the network has the interior."""
-    inner = [Body.flat(body.places / STEPS, body.faces) for body in interior.inner]
-    eta = interior.eta, *(body.eta for body in interior.inner)
-    return ViewPath([outer, *inner], eta, interior.attenuation, settings.ray_samples, settings.ray_turns)
+    bodies = [outer._replace(eta=interior.eta, attenuation=interior.attenuation[0])]
+    for body, attenuation in zip(interior.inner, interior.attenuation[1:], strict=True):
+        positions, faces = body.places / STEPS, body.faces.astype(np.int64)
+        corners = vertex_normals(positions, faces)[faces] if body.smooth else None
+        bodies.append(Body(positions, faces, corners, body.parent, body.eta, attenuation))
+    return ViewPath(bodies, settings.ray_samples, settings.interfaces)
+
+
+def media_of_masks(parents: Sequence[int]) -> NDArray[np.int64]:
+    """The medium [2ᴮ] at a point in the bodies of a bit mask: 0 outside, else the number of the last body, from 1, that
+    counts. A body counts only where all bodies that contain it do, as in scenes.
+    """
+    chains: list[int] = []
+    for number, parent in enumerate(parents):
+        chains.append(1 << number | (chains[parent] if parent >= 0 else 0))
+    counting = [[k + 1 for k, chain in enumerate(chains) if mask & chain == chain] for mask in range(1 << len(parents))]
+    return np.array([max(numbers, default=0) for numbers in counting])
 
 
 def face_normals(positions: Array, faces: NDArray[np.int64]) -> Array:
     """Unit normals [F,3] of faces [F,3], which are counter-clockwise seen from outside; 0 for faces without area."""
     a, b, c = (positions[faces[:, corner]] for corner in range(3))
     normals = np.cross(b - a, c - a)
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
+
+
+def vertex_normals(positions: Array, faces: NDArray[np.int64]) -> Array:
+    """Unit normals [V,3]: means of those of the faces around a vertex, weighted by their areas."""
+    a, b, c = (positions[faces[:, corner]] for corner in range(3))
+    normals = np.zeros_like(positions)
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], np.cross(b - a, c - a))
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))

@@ -42,7 +42,7 @@ SETTINGS = {
     "three late layers": replace(PAPER, features=9, light_layers=3, skips=((1, 4), (2, 5)), angle_powers=1),
     "interior": LATE,
     "lobes": replace(LATE, lobes=3),
-    "paths": replace(LATE, ray_turns=6, lobes=3),
+    "paths": replace(LATE, interfaces=6, lobes=3),
 }
 
 
