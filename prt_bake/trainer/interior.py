@@ -1,4 +1,4 @@
-"""Signed distance grids of a scene's object and of what it contains, within the byte budget of a model."""
+"""Signed distance grids of a scene's object and of what it contains, and its meshes, within the bytes of a model."""
 
 import math
 from dataclasses import replace

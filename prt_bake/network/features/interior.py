@@ -1,5 +1,7 @@
 """The inside of an object as view rays meet it, small enough to be stored with the network.
 
+Where view rays are followed through interfaces, the meshes of the bodies inside are part of it (`inner_bodies`).
+
 Coarse grids hold signed distances to the boundaries of the object and of bodies inside it. With them are stored the
 mean attenuation of each medium and the index of refraction. Lengths are in box sides, positions relative to the box's
 corner.

@@ -31,10 +31,10 @@ from prt_bake.network.settings import COSINE_BUMPS, LIGHT_RAY_ORIGINS, SHAPE_INP
 
 _MEAN_FREE_PATHS = 4.0
 """Length of the view ray, if the object is larger."""
-_MAX_LENGTH, _MAX_LENGTH_REFLECTED = 1.75, 3.0
-"""Maximum length of straight rays in box sides: a little more than the diagonal of a cube. Lengths are inputs in its
-units, those in clear objects in the second."""
-_INTERVALS, _INTERVALS_REFLECTED = 64, 128
+_MAX_LENGTH, _MAX_LENGTH_CLEAR = 1.75, 3.0
+"""Maximum length of straight rays in box sides, a little more than the diagonal of a cube; in clear objects that of
+straight rays where no mesh is known, and the unit in which lengths of paths are inputs."""
+_INTERVALS, _INTERVALS_CLEAR = 64, 128
 _WARP = 3.0
 """Logarithm of the ratio of the last interval to the first: more depends on points near the surface."""
 _UNAVERAGED_SHARE = 0.25
@@ -288,13 +288,13 @@ class ViewFeatures(nn.Module):
         )
 
 
-def interval_edges(interior: Interior, reflected: bool) -> Tensor:
+def interval_edges(interior: Interior, clear: bool) -> Tensor:
     """Edges [M+1] of the intervals along a ray over which the optical depth is summed, in box sides.
 
     Intervals are shorter near the surface, but equal if there are other bodies inside, from which light may come.
     """
-    longest = _MAX_LENGTH_REFLECTED if reflected else _MAX_LENGTH
-    count = _INTERVALS_REFLECTED if reflected else _INTERVALS
+    longest = _MAX_LENGTH_CLEAR if clear else _MAX_LENGTH
+    count = _INTERVALS_CLEAR if clear else _INTERVALS
     share = torch.linspace(0.0, 1.0, count + 1, dtype=torch.float64)
     if len(interior.attenuation) > 1:
         return (longest * share).float()

@@ -2,7 +2,7 @@
 
 What is seen in a clear object depends on every interface that the ray meets. At each it is refracted or, beyond the
 critical angle, totally reflected: it takes the way that most of the light takes. It ends where hardly anything is seen
-through the media any more. Where a ray misses a thin body, or an edge, another thing is seen; the path is therefore
+through the media any more. A ray that narrowly misses a body, or an edge, sees something else. Paths are therefore
 found in the meshes themselves, by Embree, and not in the network's coarse grids.
 """
 

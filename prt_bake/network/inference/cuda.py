@@ -2,8 +2,8 @@
 
 A bake evaluates small blocks (a few hundred views). Launching hundreds of operations of a few microseconds each would
 take longer than the operations. Here all views of a batch are one graph launch, and all their rows are one kernel
-launch (`cuda_kernels`). Results are copied to page-locked memory while later ones are computed, because the copy takes
-longer than the computation.
+launch (`cuda_kernels`); the processor finds normals and the paths of view rays before. Results are copied to
+page-locked memory while later ones are computed, because the copy takes longer than the computation.
 """
 
 import warnings

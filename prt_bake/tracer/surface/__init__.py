@@ -1,4 +1,4 @@
-"""Interfaces: Fresnel reflection, rough GGX boundaries with energy compensation, and ray queries by Embree.
+"""Interfaces: Fresnel reflection, rough GGX boundaries with energy compensation, and what walks meet.
 
-May import: `prt_bake.mathematics` and `prt_bake.jit`. Begin with `interface.py`.
+May import: `prt_bake.geometry`, `prt_bake.mathematics` and `prt_bake.jit`. Begin with `interface.py`.
 """

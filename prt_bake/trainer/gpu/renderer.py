@@ -1,6 +1,7 @@
 """Training rows from walks on a GPU, which stay there.
 
-Walks and learning take turns on the GPU, which both can fill alone. The processor places the next queries meanwhile.
+Walks and learning take turns on the GPU, which both can fill alone. The processor meanwhile places the next queries
+and, in clear objects, finds the paths of their view rays.
 """
 
 from collections import deque
@@ -75,8 +76,8 @@ class GpuRenderer:
         paths: Paths,
         state: dict[str, int] | None = None,
     ) -> None:
-        """Rows are drawn `batch` at a time, of which blocks hold a multiple. `paths` finds those of the views. Continue
-        from `state` if given.
+        """Rows are drawn `batch` at a time, of which blocks hold a multiple. `paths` finds the paths of view rays. The
+        source continues from `state` if given.
         """
         begun = state or {"next_query": 0, "walks": 0, "rows": 0}
         self._next_query, self._walks, self._rows = begun["next_query"], begun["walks"], begun["rows"]
