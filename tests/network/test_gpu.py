@@ -28,7 +28,7 @@ pytestmark = WITHOUT_MESH
 
 SHIPPED = Path(shipped.__file__).parent
 SMALL_PAPER = replace(PRESETS["paper"], width=32)
-TURNING = replace(LOBED, interfaces=2)
+CLEAR = replace(LOBED, interfaces=2)
 COPIES, DIRECTIONS, BINS = 4, 16, 40
 TOLERANCE = {"float32": 1e-5, "bfloat16": 1e-2}
 
@@ -45,7 +45,7 @@ def gpu(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 def network_of(name: str) -> NeuralBSSRDF:
     if name == "shipped":
         return load_model(SHIPPED / "spot.pt").up_to(2)
-    settings = {"paper": SMALL_PAPER, "turning": TURNING}[name]
+    settings = {"paper": SMALL_PAPER, "clear": CLEAR}[name]
     network = NeuralBSSRDF(settings, interior=glass_ball(1.4) if settings.ray_samples else None)
     with torch.no_grad():
         for weight in network.parameters():
@@ -66,7 +66,7 @@ def relative_error(found: np.ndarray, expected: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("precision", TOLERANCE)
-@pytest.mark.parametrize("name", ["paper", "turning", "shipped"])
+@pytest.mark.parametrize("name", ["paper", "clear", "shipped"])
 def test_a_gpu_agrees_with_the_cpu(name: str, precision: str, gpu: str) -> None:
     network = network_of(name)
     incident, rotation, position, outgoing = queries(network)
@@ -92,7 +92,7 @@ def test_a_model_is_loaded_onto_the_gpu(gpu: str) -> None:
 def test_a_bake_on_the_gpu_agrees_with_the_cpu(options: dict[str, float], gpu: str) -> None:
     """A bake to an error takes the same decisions, also with several workers."""
     sphere = ball(1, 0.45)
-    network, mesh = network_of("turning"), build_mesh(sphere.positions + 0.5, sphere.faces)
+    network, mesh = network_of("clear"), build_mesh(sphere.positions + 0.5, sphere.faces)
     baked = [
         bake(network, mesh, rings=2, sectors=4, workers=workers, device=device, **options)
         for workers, device in ((1, "cpu"), (2, gpu))
@@ -106,7 +106,7 @@ def test_a_bake_on_the_gpu_agrees_with_the_cpu(options: dict[str, float], gpu: s
 def test_a_network_on_the_gpu_is_baked(gpu: str, tmp_path: Path) -> None:
     """Commands load the network onto the device."""
     sphere = ball(1, 0.45)
-    network, mesh = network_of("turning"), build_mesh(sphere.positions + 0.5, sphere.faces)
+    network, mesh = network_of("clear"), build_mesh(sphere.positions + 0.5, sphere.faces)
     options = {"rings": 2, "sectors": 4, "samples": 16, "out": tmp_path / "asset.h5"}
     expected, digest = bake(network, mesh, **options).coefficients[:], content_hash(network)
     found = bake(network.to(gpu), mesh, device=gpu, **options).coefficients[:]

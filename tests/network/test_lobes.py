@@ -85,11 +85,10 @@ def test_parameters_of_zero_give_a_faint_lobe_along_the_exit() -> None:
     assert float(back.max()) < 1e-6
 
 
-@pytest.mark.parametrize("turns", [0, 4])
 @pytest.mark.parametrize("eta", [0.8, 1.0, 1.4])
-def test_rays_leave_a_ball_by_snells_law(eta: float, turns: int) -> None:
+def test_rays_leave_a_ball_by_snells_law(eta: float) -> None:
     """A chord of a ball has the same angle at both ends: a ray is refracted twice by the same angle."""
-    view = ViewFeatures(replace(LOBED, interfaces=turns), torch.zeros((LOBED.features, 6)), glass_ball(eta))
+    view = ViewFeatures(LOBED, torch.zeros((LOBED.features, 6)), glass_ball(eta))
     normal, eye = uniform(400, 21), uniform(400, 22)
     cosine = np.sum(normal * eye, axis=1)
     visible = cosine > (0.7 if eta < 1.0 else 0.1)
