@@ -97,9 +97,7 @@ def view(
         if screenshot is None and not canvas.on_display:
             raise QueryError(f"view: {_WITHOUT_DISPLAY}")
         canvas.open()
-        baked = reading.result()
-        opened = _open(baked, options, screenshot is not None)
-    say(f"{asset}: error of the coefficients {baked.error}")
+        opened = _open(reading.result(), options, screenshot is not None)
     for remark in _remarks(opened.preview):
         say(f"{asset}: {remark}")
     _show(window, canvas, opened, asset.name, screenshot, compare)

@@ -30,7 +30,15 @@ from prt_bake.trainer.validation import HeldOutCoefficients, hold_out, hold_out_
 
 OURS = PRESETS["measured"]
 PLAIN = replace(
-    OURS, features=256, ray_samples=0, tells_normal=False, lobes=0, shape_places=0, grid_places=0, light_places=0
+    OURS,
+    features=256,
+    ray_samples=0,
+    tells_normal=False,
+    interfaces=0,
+    lobes=0,
+    shape_places=0,
+    grid_places=0,
+    light_places=0,
 )
 """Features of the position alone, without the interior."""
 EARLY: dict[str, Any] = {"light_layers": 0, "angle_powers": 0, "skips": ((1, 3), (2, 4))}
@@ -78,7 +86,7 @@ VARIANTS: dict[str, Variant] = {
     "30 % on vertices and edges": stream(edge_share=0.3),
     "paper preset": Variant(network=PRESETS["paper"]),
     "no ray": plain(),
-    "no normal, no lobes": network(tells_normal=False, lobes=0),
+    "no normal, no lobes": network(tells_normal=False, interfaces=0, lobes=0),
     "no lobes": network(lobes=0),
     "1 lobe": network(lobes=1),
     "4 lobes": network(lobes=4),

@@ -225,12 +225,6 @@ def test_a_buffer_smaller_than_a_batch_does_not_block(scene):
     assert renderer.statistics().rows >= 400
 
 
-def test_only_a_learner_on_the_renderer_s_cores_waits_for_rows(scene):
-    data = PathTracedData(scene, dataclasses.replace(STREAM, reuse=2), 0, False)
-    assert data.source(LEARNING, "cpu", None).reuse == 2
-    assert data.source(LEARNING, "cuda", None).reuse == np.inf
-
-
 def test_an_unknown_device_is_refused(scene):
     assert cores.select_device("cpu") == "cpu"
     assert cores.select_device("auto") == ("cuda" if torch.cuda.is_available() else "cpu")
