@@ -60,7 +60,7 @@ def test_a_large_body_is_coarser_closed_and_of_the_same_volume() -> None:
     positions, faces = sphere(6)[:2]
     positions = positions + 0.01 * RNG.normal(size=positions.shape)
     bodies = fitting_bodies([sphere(6)._replace(positions=positions)])
-    assert len(packed_bodies(bodies)) <= MOST_BYTES
+    assert MOST_BYTES / 8 < len(packed_bodies(bodies)) <= MOST_BYTES
     body = bodies[0]
     assert 500 < len(body.faces) < len(faces)
     assert not edges_of(body.faces).any()

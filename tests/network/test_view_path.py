@@ -188,7 +188,7 @@ def _nearest(corners: Array, p: Array, d: Array) -> tuple[int, float]:
 def _second_opinion(
     bodies: list[Body], eta: list[float], attenuation: list[float], x: Array, d: Array
 ) -> tuple[float, Array]:
-    """Optical depth and first leaving direction of a path, by vectors instead of by components."""
+    """Optical depth and last leaving direction of a path, by vectors instead of by components."""
     corners = np.concatenate([body.positions[body.faces] for body in bodies])
     owner = np.repeat(np.arange(len(bodies)), [len(body.faces) for body in bodies])
     index, density = {-1: 1.0, **dict(enumerate(eta))}, {-1: 0.0, **dict(enumerate(attenuation))}
@@ -210,17 +210,20 @@ def _second_opinion(
             inside = other
         else:
             d = across - (d @ n) * n
-        leaving = d if leaving is None and not inside else leaving
+        leaving = leaving if inside else d
     return depth, first if leaving is None else leaving
 
 
 def test_a_second_implementation_finds_the_same_optical_depths() -> None:
-    """Balls of other indices in a ball, one of them in another, from all sides."""
+    """Balls of other indices in a ball, one of them in another, from all sides; the object has a second ball aside."""
     shapes = [(0.5, 0.5, 0.5, 0.5), (0.6, 0.5, 0.5, 0.3), (0.65, 0.5, 0.5, 0.15), (0.2, 0.5, 0.5, 0.08)]
     bodies = []
     for *centre, radius in shapes:
         mesh = trimesh.creation.icosphere(2, radius)
         bodies.append(Body(np.asarray(mesh.vertices, np.float64) + centre, np.asarray(mesh.faces, np.int64)))
+    aside = bodies[0].positions + np.array([1.05, 0.0, 0.0]), bodies[0].faces + len(bodies[0].positions)
+    both = np.concatenate([bodies[0].positions, aside[0]]), np.concatenate([bodies[0].faces, aside[1]])
+    bodies[0] = Body(*both)
     eta, attenuation = [1.5, 1.33, 1.1, 1.8], [0.3, 1.5, 6.0, 2.0]
     corners = bodies[0].positions[bodies[0].faces][::4]
     x = corners.mean(axis=1)
@@ -236,10 +239,11 @@ def test_a_second_implementation_finds_the_same_optical_depths() -> None:
     assert np.std(expected) > 0.5
 
 
-def test_bodies_that_touch_the_surface_are_seen() -> None:
-    """The face of the body that coincides with the surface is not met; the one behind it tells that it was inside."""
+@pytest.mark.parametrize("top", [1.0, 1.2])
+def test_bodies_that_reach_the_surface_are_seen(top: float) -> None:
+    """The path begins in the body, whose upper face it does not meet: the lower one tells that it was inside."""
     x, towards = downwards(300)
-    below = box((0.05, 0.05, 0.5), (0.95, 0.95, 1.0))
+    below = box((0.05, 0.05, 0.5), (0.95, 0.95, top))
     opacity = found(paths([UNIT, below], [1.5, 1.5], [0.0, 1e4], 4, 16), x, towards)[2]
     np.testing.assert_allclose(opacity, 1.0)
 
@@ -292,7 +296,9 @@ def test_paths_bend_at_interpolated_normals() -> None:
     n = chord / np.linalg.norm(chord)
     across = 1.5 * (d - (d * n).sum() * n)
     exact = across + np.sqrt(1.0 - (across**2).sum()) * n
-    errors = [np.linalg.norm(found - exact) for found in leaving]
+    turned = found(paths([smooth._replace(corners=-2.0 * (positions[faces] - 0.5))], [1.5], [0.1], 4, 16), x, d)[3]
+    np.testing.assert_allclose(turned, leaving[1], err_msg="normals of the faces where those of vertices look away")
+    errors = [np.linalg.norm(ahead - exact) for ahead in leaving]
     assert errors[0] < 0.01 < errors[1]
 
 

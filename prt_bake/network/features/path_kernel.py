@@ -65,13 +65,13 @@ def _follow(
     segments: Any,
     leaving: Any,
 ) -> int:
-    """Fills `segments` of a path from p along d, and the direction in which it first leaves; returns their number.
+    """Fills `segments` of a path from p along d, and the direction in which it last leaves; returns their number.
 
     A face that is met from behind was reached from inside its body: this corrects the bodies that contain the path,
     where these touch, or where a ray slipped through an edge.
     """
     bodies, normals, _corners, media, eta, attenuation = tables
-    inside, bent, count, left = 1, 0, 0, False
+    inside, bent, count = 1, 0, 0
     length, depth, near, skip = 0.0, 0.0, 0.0, -1
     while bent <= most and count < len(segments) and depth < _OPAQUE_DEPTH:
         face, t = nearest_hit(address, scene, ray, p, d, near, np.inf, skip)
@@ -95,8 +95,7 @@ def _follow(
             _facing_normal(tables, face, ray[15], ray[16], d, normal)
             if not _bend(ratio, normal, d):
                 inside = before
-        if media[inside] == 0 and not left:
-            left = True
+        if media[inside] == 0:
             for k in range(3):
                 leaving[k] = d[k]
         near, skip = 0.0, face

@@ -31,7 +31,7 @@ class PathSamples(NamedTuple):
         lengths: of the path at the points [N,K], in box sides.
         points: [N,K,3], in box sides from the box's corner.
         opacity: probability [N] that light comes from the path at all.
-        leaving: direction [N,3] in which the path first leaves the object; that of its begin if it does not.
+        leaving: direction [N,3] in which the path leaves the object for good; that of its begin if it does not.
     """
 
     lengths: Tensor
