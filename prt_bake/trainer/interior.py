@@ -98,13 +98,12 @@ def _around(parts: tuple[Part, ...], index: int) -> list[int]:
 
 
 def _inner(bodies: list[Part], meshes: list[trimesh.Trimesh], scene: Scene) -> tuple[InnerBody, ...]:
-    """The meshes of the bodies after the first. Light does not enter diffuse ones: they bend no rays."""
+    """The meshes of the bodies after the first."""
     shapes, numbers = [], [scene.parts.index(part) for part in bodies]
     for part, mesh, number in zip(bodies[1:], meshes[1:], numbers[1:], strict=True):
         parent = next(index for index in _around(scene.parts, number) if index in numbers)
-        eta = part.eta if part.diffuse is None else scene.parts[part.parent].eta
         positions = np.asarray(mesh.vertices, np.float64)
-        shapes.append(Shape(positions, mesh.faces, numbers.index(parent), float(eta), part.normals == "vertex"))
+        shapes.append(Shape(positions, mesh.faces, numbers.index(parent), float(part.eta), part.normals == "vertex"))
     return fitting_bodies(shapes)
 
 

@@ -143,3 +143,9 @@ def test_meshes_inside_are_those_of_the_parts() -> None:
     expected = [((part.mesh.positions - box.corner) / box.side).min(axis=0) for part in scene.parts[1:]]
     np.testing.assert_allclose(np.sort(corners, axis=0), np.sort(expected, axis=0), atol=1e-4)
     assert interior_of(scene, box).inner == ()
+
+
+def test_bodies_follow_those_that_contain_them() -> None:
+    scene = read_scene(GRAPE.parents[1] / "drink" / "drink.toml")
+    inner = interior_of(scene, box_of(scene), with_meshes=True).inner
+    assert [(body.parent, body.eta) for body in inner] == [(0, 1.33), (1, 1.31), (1, 1.31)]
