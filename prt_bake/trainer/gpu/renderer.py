@@ -26,7 +26,7 @@ from prt_bake.trainer.samples.rows import Box, SourceStatistics, StreamSettings,
 
 Array = NDArray[np.float64]
 
-GPU_STREAM = StreamSettings(queries_a_batch=1 << 15, exits=64, kept=24)
+GPU_STREAM = StreamSettings(queries_a_batch=1 << 15, exits=32, kept=24)
 """Settings for a GPU: `queries_a_batch` are traced at once, each with `exits` walks."""
 _AHEAD = 4
 """Blocks whose queries are placed in advance, in as many threads."""
