@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from formats.errors import ModelError
 from formats.mesh import Mesh
+from formats.mesh.geometry import face_normals
 from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF
 from prt_bake.network.features.interior import LEVELS, REACH, Interior
 from prt_bake.network.features.refraction import normals
@@ -23,7 +24,6 @@ from prt_bake.network.features.view_path import (
     Body,
     PathSamples,
     ViewPath,
-    face_normals,
     known_paths,
     media_of_masks,
 )

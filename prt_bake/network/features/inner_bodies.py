@@ -13,7 +13,7 @@ STEPS = 65535
 """Steps of positions per box side."""
 MOST_BYTES = 65_536
 """Byte budget of the bodies of a model."""
-MAX_ETA = 5.0
+_MAX_ETA = 5.0
 _MAX_FACES = 1 << 18
 
 
@@ -103,7 +103,7 @@ def _check(value: dict[str, Any], number: int) -> None:
         "vertices": (type(value["vertices"]) is int and 0 <= value["vertices"] <= _MAX_FACES, f"0 to {_MAX_FACES}"),
         "faces": (type(value["faces"]) is int and 0 <= value["faces"] <= _MAX_FACES, f"0 to {_MAX_FACES}"),
         "parent": (type(value["parent"]) is int and 0 <= value["parent"] <= number, f"0 to {number}"),
-        "eta": (0.0 < float(value["eta"]) <= MAX_ETA, f"above 0, at most {MAX_ETA:g}"),
+        "eta": (0.0 < float(value["eta"]) <= _MAX_ETA, f"above 0, at most {_MAX_ETA:g}"),
         "smooth": (type(value["smooth"]) is bool, "true or false"),
     }
     for name, (fits, expected) in valid.items():

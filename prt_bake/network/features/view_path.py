@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from formats.mesh.geometry import face_normals, vertex_normals
 from prt_bake.jit.threads import in_threads
 from prt_bake.network.features.inner_bodies import STEPS
 from prt_bake.network.features.interior import Interior
@@ -145,7 +146,7 @@ def path_through(outer: Body, interior: Interior, settings: NetworkSettings) -> 
     bodies = [outer._replace(eta=interior.eta, attenuation=interior.attenuation[0])]
     for body, attenuation in zip(interior.inner, interior.attenuation[1:], strict=True):
         positions, faces = body.places / STEPS, body.faces.astype(np.int64)
-        corners = vertex_normals(positions, faces)[faces] if body.smooth else None
+        corners = vertex_normals(positions, faces)[0][faces] if body.smooth else None
         bodies.append(Body(positions, faces, corners, body.parent, body.eta, attenuation))
     return ViewPath(bodies, settings.ray_samples, settings.interfaces)
 
@@ -159,19 +160,3 @@ def media_of_masks(parents: Sequence[int]) -> NDArray[np.int64]:
         chains.append(1 << number | (chains[parent] if parent >= 0 else 0))
     counting = [[k + 1 for k, chain in enumerate(chains) if mask & chain == chain] for mask in range(1 << len(parents))]
     return np.array([max(numbers, default=0) for numbers in counting])
-
-
-def face_normals(positions: Array, faces: NDArray[np.int64]) -> Array:
-    """Unit normals [F,3] of faces [F,3], which are counter-clockwise seen from outside; 0 for faces without area."""
-    a, b, c = (positions[faces[:, corner]] for corner in range(3))
-    normals = np.cross(b - a, c - a)
-    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
-
-
-def vertex_normals(positions: Array, faces: NDArray[np.int64]) -> Array:
-    """Unit normals [V,3]: means of those of the faces around a vertex, weighted by their areas."""
-    a, b, c = (positions[faces[:, corner]] for corner in range(3))
-    normals = np.zeros_like(positions)
-    for corner in range(3):
-        np.add.at(normals, faces[:, corner], np.cross(b - a, c - a))
-    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
