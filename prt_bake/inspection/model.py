@@ -29,4 +29,5 @@ def _describe_interior(view: Any) -> dict[str, Any]:
     if view is None:
         return {}
     interior = view.interior.as_json()
-    return {f"interior: {name}": interior[name] for name in ("places", "spacing", "attenuation", "eta")}
+    names = ("places", "spacing", "attenuation", "eta", "material")
+    return {f"interior: {name}": interior[name] for name in names if name in interior}

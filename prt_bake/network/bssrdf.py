@@ -45,7 +45,7 @@ __all__ = ["PRESETS", "NetworkSettings", "NeuralBSSRDF", "load_model", "save_mod
 
 FORMAT = "prtbake model"
 FORMAT_VERSION = 1
-INTERIOR, INNER = "interior", "inner"
+INTERIOR, INNER, MATERIAL = "interior", "inner", "material"
 """Names of the checkpoint's tensors that hold the interior's grids, and the meshes inside."""
 _METADATA: Mapping[str, Check] = {
     "up": one_of("y", "z"),
@@ -124,6 +124,8 @@ def save_model(network: NeuralBSSRDF, path: str | Path) -> None:
         tensors[INTERIOR] = network.view.interior.packed()
         if network.view.interior.inner:
             tensors[INNER] = network.view.interior.packed_inner()
+        if network.view.interior.material is not None:
+            tensors[MATERIAL] = network.view.interior.material.packed()
     write_checkpoint(path, json.dumps(head), tensors)
 
 
@@ -163,7 +165,7 @@ def load_model(path: str | Path, device: str = "cpu", *, mesh: Mesh | None = Non
                 "or train one"
             )
         _check_metadata(head["metadata"])
-        packed, inner = tensors.pop(INTERIOR, None), tensors.pop(INNER, None)
+        packed, inner, material = (tensors.pop(name, None) for name in (INTERIOR, INNER, MATERIAL))
         settings = NetworkSettings.from_json(head["settings"])
         _check_size(settings, sum(tensor.numel() for tensor in tensors.values()))
         network = NeuralBSSRDF(
@@ -172,7 +174,7 @@ def load_model(path: str | Path, device: str = "cpu", *, mesh: Mesh | None = Non
             head["box_side"],
             head["output_scale"],
             head["metadata"],
-            None if packed is None else Interior.unpacked(head["interior"], packed, inner),
+            None if packed is None else Interior.unpacked(head["interior"], packed, inner, material),
         )
     except ModelError as fault:
         raise fault if str(path) in str(fault) else ModelError(f"{path}: {fault}") from None

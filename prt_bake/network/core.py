@@ -5,6 +5,7 @@
 
 import os
 from copy import copy
+from dataclasses import replace
 from functools import partial
 from typing import Any, Literal, Self
 
@@ -86,6 +87,13 @@ class NetworkCore(nn.Module):
                 f"network: view rays are followed through {len(interior.attenuation)} bodies (interfaces is "
                 f"{self.settings.interfaces}), which needs the meshes of those inside; found {len(interior.inner)}"
             )
+        channels = 0 if interior is None else interior.channels
+        if channels > self.settings.material_channels:
+            raise ModelError(
+                f"network: the interior has {channels} channels of a material, more than material_channels in the "
+                f"settings, {self.settings.material_channels}"
+            )
+        self.settings = replace(self.settings, material_channels=channels)
         self._corner = corner.numpy()
         generator = torch.Generator().manual_seed(self.settings.seed)
         self._draw_frequencies(generator)

@@ -20,6 +20,12 @@ SHAPE_SCALES = (0.015, 0.03, 0.06, 0.12)
 SHAPE_INPUTS = 4 * len(SHAPE_SCALES)
 """Inputs per point that describe the object's shape around it: occupancy and its slope at each scale."""
 MAX_GRID_PLACES, MAX_GRID_NUMBERS = 128, 64
+MOST_CHANNELS = 8
+"""Most channels of the material."""
+MATERIAL_BLURS = (0.0, 0.03, 0.07)
+"""Standard deviations, in box sides, of the Gaussians that blur the material's channels."""
+INPUTS_PER_CHANNEL = 2 * len(MATERIAL_BLURS)
+"""The channel at x, and its mean along the view ray, with each blur."""
 LIGHT_RAY_ORIGINS = ("x", "within")
 """Origins of the light rays: x itself, and the middle sample of the view ray."""
 EXIT_INPUTS = 3
@@ -73,6 +79,9 @@ class NetworkSettings:
     """Nodes per box side of the grid of learned features (`features.feature_grid`); 0: no grid. Needs ray_samples."""
     grid_numbers: int = 8
     """Learned features per node; the inputs are those at x and their mean along the view ray."""
+    material_channels: int = 0
+    """Channels of the material that are inputs (`features.material`): at most this many; a network has as many as
+    its interior."""
     light_places: int = 0
     """Points along light rays at which the late layers see the object's occupancy, half of them on the ray from x and
     half on the ray from within (`features.light_ray`). Needs ray_samples."""
@@ -134,6 +143,10 @@ class NetworkSettings:
             )
         if self.grid_places and not self.ray_samples:
             raise ModelError(f"network settings: grid_places needs ray_samples; found {self.grid_places} and 0")
+        if not 0 <= self.material_channels <= MOST_CHANNELS:
+            raise ModelError(
+                f"network settings: material_channels must be from 0 to {MOST_CHANNELS}, found {self.material_channels}"
+            )
         uneven = self.light_places % len(LIGHT_RAY_ORIGINS)
         if self.light_places < 0 or uneven or (self.light_places and not self.ray_samples):
             raise ModelError(
@@ -185,7 +198,8 @@ class NetworkSettings:
         shape = SHAPE_INPUTS * self.shape_places
         grid = 2 * self.grid_numbers if self.grid_places else 0
         normal = 3 + COSINE_BUMPS if self.tells_normal else 0
-        return samples + shape + grid + normal + (EXIT_INPUTS if self.lobes else 0)
+        material = INPUTS_PER_CHANNEL * self.material_channels
+        return samples + shape + grid + normal + material + (EXIT_INPUTS if self.lobes else 0)
 
     @property
     def view_inputs(self) -> int:
@@ -270,6 +284,7 @@ PRESETS: dict[str, NetworkSettings] = {
         lobes=2,
         shape_places=4,
         grid_places=32,
+        material_channels=MOST_CHANNELS,
         light_places=16,
         light_cosines=True,
     ),

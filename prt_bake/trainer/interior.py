@@ -14,6 +14,7 @@ from prt_bake.network.features.inner_bodies import InnerBody, Shape, fitting_bod
 from prt_bake.network.features.interior import LEVELS, REACH, Interior
 from prt_bake.network.features.view_features import interval_edges
 from prt_bake.network.settings import NetworkSettings
+from prt_bake.trainer.material import material_of
 from prt_bake.trainer.samples.rows import Box
 
 Array = NDArray[np.float64]
@@ -36,10 +37,11 @@ _OPAQUE = 1e3
 """Attenuation per box side of a part that no light enters."""
 
 
-def interior_of(scene: Scene, box: Box, with_meshes: bool = False) -> Interior:
+def interior_of(scene: Scene, box: Box, with_meshes: bool = False, with_material: bool = False) -> Interior:
     """The interior of a scene: the finest grids, of at most 96³ points per body, that fit into MOST_BYTES.
 
-    with_meshes: also the meshes of the bodies inside, through which view rays can be followed.
+    with_meshes: also the meshes of the bodies inside, through which view rays can be followed. with_material: also what
+    varies of the material.
     """
     bodies = _bodies(scene.parts)
     meshes = [
@@ -57,9 +59,13 @@ def interior_of(scene: Scene, box: Box, with_meshes: bool = False) -> Interior:
         interior = Interior(levels, origin, spacing, attenuation, float(scene.eta), inner)
         size = len(interior.packed())
         if size <= MOST_BYTES:
-            return interior
+            break
         # The packed size is that of the surface, which grows fourfold at half the spacing.
         spacing *= _MARGIN * math.sqrt(size / MOST_BYTES)
+    if not with_material:
+        return interior
+    reach = float(interval_edges(interior, with_meshes)[-1])
+    return replace(interior, material=material_of(bodies, box, interior, reach))
 
 
 def with_fitting_grid(settings: NetworkSettings, interior: Interior) -> NetworkSettings:

@@ -143,8 +143,10 @@ class _Run:
     ) -> None:
         self.data, self.learning, self.seed = data, learning, seed
         self.scene, box = data.scene, data.box
-        interior = interior_of(self.scene, box, settings.interfaces > 0) if settings.ray_samples else None
-        settings = settings if interior is None else with_fitting_grid(settings, interior)
+        interior = None
+        if settings.ray_samples:
+            interior = interior_of(self.scene, box, settings.interfaces > 0, settings.material_channels > 0)
+            settings = with_fitting_grid(settings, interior)
         self.resume_settings = {
             **{f"network {name}": value for name, value in settings.as_json().items()},
             "interior": "" if interior is None else interior.content_hash,

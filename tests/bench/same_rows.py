@@ -47,6 +47,7 @@ VARIANTS = {
     "weight decay 0.3": Variant({"decay": 0.3}),
     "batch 256": Variant({"batch": 256}),
     "batch 2048": Variant({"batch": 2048}),
+    "without the material": Variant(network={"material_channels": 0}),
     "grid of 64 nodes": Variant(network={"grid_places": 64}),
     "24 samples of the ray": Variant(network={"ray_samples": 24}),
     "8 places of the shape": Variant(network={"shape_places": 8}),
@@ -84,10 +85,9 @@ def traced_rows(scene: Scene, count: int) -> Array:
 
 def trained(scene: Scene, rows: Array, scale: float, variant: Variant) -> tuple[NeuralBSSRDF, int]:
     """The network of a variant after one pass over its rows, and its steps."""
-    box, interior = box_of(scene), interior_of(scene, box_of(scene), with_meshes=True)
-    settings = replace(_settings_for(PRESETS["measured"], scene), **variant.network)
-    if "grid_places" not in variant.network:
-        settings = with_fitting_grid(settings, interior)
+    box, settings = box_of(scene), replace(_settings_for(PRESETS["measured"], scene), **variant.network)
+    interior = interior_of(scene, box, with_meshes=True, with_material=settings.material_channels > 0)
+    settings = replace(with_fitting_grid(settings, interior), **variant.network)
     network = NeuralBSSRDF(settings, box.corner, box.side, scale, {"normals": scene.normals}, interior)
     learner = Learner(network.on(scene.mesh), replace(LearningSettings(bfloat16=False), **variant.learning))
     batch, generator = learner.settings.batch, np.random.default_rng(0)

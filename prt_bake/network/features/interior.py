@@ -19,6 +19,7 @@ from torch import Tensor
 from formats.errors import ModelError
 from prt_bake.network.features.inner_bodies import InnerBody, packed_bodies, unpacked_bodies
 from prt_bake.network.features.lzma_bytes import packed_bytes, unpacked_bytes
+from prt_bake.network.features.material import Material
 
 LEVELS = 15
 REACH = 3.0
@@ -40,6 +41,7 @@ class Interior:
         attenuation: that of each body's medium, per box side, without light that is scattered forward.
         eta: index of refraction inside relative to outside.
         inner: meshes of the bodies after the first, where view rays are followed through them; else empty.
+        material: what varies of the material; None if nothing does, or if the network does not see it.
     """
 
     levels: NDArray[np.int8]
@@ -48,6 +50,7 @@ class Interior:
     attenuation: tuple[float, ...]
     eta: float
     inner: tuple[InnerBody, ...] = ()
+    material: Material | None = None
 
     def __post_init__(self) -> None:
         levels = np.ascontiguousarray(self.levels, np.int8)
@@ -77,14 +80,20 @@ class Interior:
     def content_hash(self) -> str:
         """SHA-256 of all values, 64 hexadecimal digits."""
         meshes = b"".join(body.places.tobytes() + body.faces.tobytes() for body in self.inner)
-        return hashlib.sha256(repr(self.as_json()).encode() + self.levels.tobytes() + meshes).hexdigest()
+        material = b"" if self.material is None else self.material.rows.tobytes()
+        return hashlib.sha256(repr(self.as_json()).encode() + self.levels.tobytes() + meshes + material).hexdigest()
+
+    @property
+    def channels(self) -> int:
+        """Channels of the material."""
+        return 0 if self.material is None else self.material.rows.shape[1]
 
     def occupancy(self) -> Tensor:
         """The share of the object [X,Y,Z] in the surroundings of each node, in [0, 1], float32."""
         return torch.from_numpy(self.levels[0].astype(np.float32) * (REACH / LEVELS) + 0.5).clamp_(0.0, 1.0)
 
     def as_json(self) -> dict[str, Any]:
-        """All values except the levels and the meshes, as plain JSON."""
+        """All values except the levels, the meshes and the rows of the material, as plain JSON."""
         return {
             "places": list(self.levels.shape),
             "corner": list(self.corner),
@@ -92,6 +101,7 @@ class Interior:
             "attenuation": list(self.attenuation),
             "eta": self.eta,
             **({"inner": [body.as_json() for body in self.inner]} if self.inner else {}),
+            **({"material": self.material.as_json()} if self.material is not None else {}),
         }
 
     def packed(self) -> Tensor:
@@ -103,9 +113,11 @@ class Interior:
         return packed_bodies(self.inner)
 
     @staticmethod
-    def unpacked(values: dict[str, Any], packed: Tensor, inner: Tensor | None = None) -> "Interior":
-        """The inverse of `as_json`, `packed` and `packed_inner`; raises ModelError on values that they cannot have
-        written.
+    def unpacked(
+        values: dict[str, Any], packed: Tensor, inner: Tensor | None = None, material: Tensor | None = None
+    ) -> "Interior":
+        """The inverse of `as_json`, `packed`, `packed_inner` and `Material.packed`; raises ModelError on values that
+        they cannot have written.
         """
         places = tuple(int(n) for n in values["places"])
         size = int(np.prod(places, dtype=np.float64)) if len(places) == 4 and min(places) > 0 else 0
@@ -117,7 +129,9 @@ class Interior:
         levels = np.frombuffer(unpacked_bytes(packed, size, "grids"), np.int8).reshape(places)
         attenuation = tuple(float(n) for n in values["attenuation"])
         bodies = () if inner is None else unpacked_bodies(values["inner"], inner, places[0] - 1)
-        interior = Interior(levels, (x, y, z), float(values["spacing"]), attenuation, float(values["eta"]), bodies)
+        channels = None if material is None else Material.unpacked(values["material"], material)
+        spacing, eta = float(values["spacing"]), float(values["eta"])
+        interior = Interior(levels, (x, y, z), spacing, attenuation, eta, bodies, channels)
         extent = interior.spacing * max(places[1:])
         if max(abs(x), abs(y), abs(z), extent, interior.eta) > MAX_EXTENT:
             raise ModelError(

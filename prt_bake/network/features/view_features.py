@@ -21,13 +21,20 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from prt_bake.network.features.feature_grid import FeatureGrid
+from prt_bake.network.features.feature_grid import FeatureGrid, kept_places
 from prt_bake.network.features.interior import LEVELS, REACH, Interior
 from prt_bake.network.features.light_ray import LightRay
+from prt_bake.network.features.material import material_grid
 from prt_bake.network.features.refraction import normals, refracted_in, refracted_out
 from prt_bake.network.features.shape import MAX_SLOPE, SLOPE_SCALE, shape_grid, trilinear
 from prt_bake.network.features.view_path import PathSamples, PathTracer
-from prt_bake.network.settings import COSINE_BUMPS, LIGHT_RAY_ORIGINS, SHAPE_INPUTS, SHAPE_SCALES, NetworkSettings
+from prt_bake.network.settings import (
+    COSINE_BUMPS,
+    LIGHT_RAY_ORIGINS,
+    SHAPE_INPUTS,
+    SHAPE_SCALES,
+    NetworkSettings,
+)
 
 _MEAN_FREE_PATHS = 4.0
 """Length of the view ray, if the object is larger."""
@@ -83,6 +90,7 @@ class ViewFeatures(nn.Module):
     corner: Tensor
     edges: Tensor
     shape: Tensor
+    material: Tensor
 
     def __init__(self, settings: NetworkSettings, frequencies: Tensor, interior: Interior) -> None:
         """`frequencies` [F,6] of (x, ωo) are the network's."""
@@ -104,6 +112,7 @@ class ViewFeatures(nn.Module):
         ):
             self.register_buffer(name, tensor, persistent=False)
         self._length = float(self.edges[-1])
+        self.register_buffer("material", self._material_grid(), persistent=False)
         places = settings.light_places // len(LIGHT_RAY_ORIGINS)
         self.light = LightRay(interior, places) if places else None
         self.grid: FeatureGrid | None = None
@@ -161,6 +170,8 @@ class ViewFeatures(nn.Module):
             slopes = shape[:, :SHAPE_INPUTS].reshape(len(x), len(SHAPE_SCALES), -1)[..., 1:]
             axes = torch.cat((axes, slopes / SLOPE_SCALE / MAX_SLOPE), dim=1)
             parts.append(shape)
+        if self.interior.material is not None:
+            parts += self._material(x, points)
         if self._has_exit:
             parts.append(leaving)
         features = torch.cat([self._averaged(x, eye, points, weight), *parts], dim=-1)
@@ -230,14 +241,33 @@ class ViewFeatures(nn.Module):
 
     def _shape(self, points: Tensor) -> Tensor:
         """The shape features [N,P·SHAPE_INPUTS] of points [N,P,3]."""
+        return self._values(self.shape, self.interior.spacing, points).flatten(1)
+
+    def _material_grid(self) -> Tensor:
+        """The grid of `material_grid`; empty without a material."""
+        material = self.interior.material
+        if material is None:
+            return torch.empty(0)
+        return material_grid(material, kept_places(self.interior, material.per_side, self._length))
+
+    def _material(self, x: Tensor, points: Tensor) -> list[Tensor]:
+        """The material's values at x [N,3] and their means over points [N,K,3], each [N,·]."""
+        assert self.interior.material is not None
+        at = torch.cat((x[:, None], points), dim=1)
+        values = self._values(self.material, 1.0 / self.interior.material.per_side, at)
+        return [values[:, 0], values[:, 1:].mean(dim=1)]
+
+    def _values(self, grid: Tensor, spacing: float, points: Tensor) -> Tensor:
+        """Trilinear values [...,C] of a grid [X,Y,Z,C] at points [...,3]."""
         at = (points - self.corner).reshape(-1, 3)
         if self.torch_only or at.device.type != "cpu":
-            return trilinear(self.shape, self.interior.spacing, at).reshape(len(points), -1)
-        from prt_bake.network.features.view_kernel import shape_rows
+            values = trilinear(grid, spacing, at)
+        else:
+            from prt_bake.network.features.view_kernel import shape_rows
 
-        rows = torch.empty((len(at), SHAPE_INPUTS))
-        shape_rows(self.shape.numpy(), np.float32(1.0 / self.interior.spacing), at.numpy(), rows.numpy())
-        return rows.reshape(len(points), -1)
+            values = torch.empty((len(at), grid.shape[3]))
+            shape_rows(grid.numpy(), np.float32(1.0 / spacing), at.numpy(), values.numpy())
+        return values.reshape(*points.shape[:-1], -1)
 
     def _samples_along(self, depths: Tensor) -> tuple[Tensor, Tensor]:
         """Lengths [N,K] along rays from where light comes, equally probable, and the opacities [N] of the rays.

@@ -1,0 +1,119 @@
+"""The channels of a scene's material that vary over it, sampled for the network (`prt_bake.network.features.material`).
+
+They are logarithms of the attenuation and of the absorbed share of each colour, and the roughness of the outermost
+interface. In an opaque body the absorbed share is that of its surface.
+"""
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import KDTree
+
+from formats.mesh import Mesh
+from formats.scene import Medium, Part
+from prt_bake.network.features.feature_grid import kept_places
+from prt_bake.network.features.interior import Interior
+from prt_bake.network.features.material import STEPS, Material
+from prt_bake.reflection.finish import interface_alpha
+from prt_bake.trainer.samples.rows import Box
+
+Array = NDArray[np.float64]
+
+MOST_BYTES = 98_304
+"""Byte budget of the material in a model file."""
+_FINEST = 64
+"""Nodes per box side where they fit."""
+_COARSER = 0.85
+_SURFACE_SAMPLES = 200_000
+_NEAR = 0.1
+"""Distance from a surface, in box sides, up to which its textures count."""
+_LEAST_ATTENUATION, _OPAQUE = 1e-2, 1e3
+"""Limits of the attenuation per box side."""
+_LEAST_ABSORBED = 1e-3
+_LEAST_RANGE = 0.02
+"""Difference between the highest and the lowest value, below which a channel is left out."""
+
+
+def material_of(bodies: list[Part], box: Box, interior: Interior, reach: float) -> Material | None:
+    """The channels that vary at the nodes along view rays of length `reach`, on the finest grid within MOST_BYTES.
+
+    bodies: those of the interior, in its order. None if nothing varies within any of them: view rays show where one
+    body ends and another begins.
+    """
+    if not any(map(_varies, bodies)):
+        return None
+    per_side = _FINEST
+    while True:
+        nodes = np.argwhere(kept_places(interior, per_side, reach))
+        channels = _channels(bodies, box, interior, np.array(interior.corner) + nodes / per_side)
+        low, high = channels.min(axis=0), channels.max(axis=0)
+        varies = high - low > _LEAST_RANGE
+        if not varies.any():
+            return None
+        steps = np.rint((channels - low)[:, varies] * (STEPS / (high - low)[varies]))
+        material = Material(per_side, steps.astype(np.uint8))
+        if len(material.packed()) <= MOST_BYTES:
+            return material
+        per_side = int(per_side * _COARSER)
+
+
+def _varies(part: Part) -> bool:
+    """Whether a body has a grid or a texture."""
+    quantities = [np.asarray(part.roughness)[..., None], np.zeros(3) if part.diffuse is None else part.diffuse]
+    if part.medium is not None:
+        quantities += [part.medium.sigma_t, part.medium.albedo]
+    return any(quantity.ndim > 1 for quantity in quantities)
+
+
+def _channels(bodies: list[Part], box: Box, interior: Interior, places: Array) -> Array:
+    """All channels [K,5] at places [K,3] in box sides."""
+    points = box.corner + box.side * places
+    at = (places - interior.corner) / interior.spacing
+    found = np.empty((len(points), 4))
+    for number, part in enumerate(bodies):
+        inside = ndimage.map_coordinates(interior.levels[number].astype(np.float64), at.T, order=1, mode="nearest") > 0
+        within = np.full(len(points), True) if number == 0 else inside
+        found[within] = _substance(part, points[within], box.side)
+    rough = _on_surface(bodies[0].mesh, [np.asarray(bodies[0].roughness)], points, box.side)
+    return np.concatenate([found, rough], axis=1)
+
+
+def _substance(part: Part, points: Array, side: float) -> Array:
+    """Logarithms of the attenuation per box side and of the absorbed shares [N,4] in a body."""
+    if part.medium is None:
+        attenuation = np.full((len(points), 1), _OPAQUE)
+        reflectance = np.ones(3) if part.diffuse is None else part.diffuse
+        albedo = _on_surface(part.mesh, [reflectance[..., colour] for colour in range(3)], points, side)
+    else:
+        attenuation = side * _in_medium(part.medium, part.medium.sigma_t, points).mean(axis=1, keepdims=True)
+        albedo = _in_medium(part.medium, part.medium.albedo, points)
+    absorbed = np.maximum(1.0 - albedo, _LEAST_ABSORBED)
+    return np.log(np.concatenate([np.clip(attenuation, _LEAST_ATTENUATION, _OPAQUE), absorbed], axis=1))
+
+
+def _in_medium(medium: Medium, quantity: Array, points: Array) -> Array:
+    """A quantity of the medium at points [N,3], [N,1] or [N,3]: trilinear between the centres of its cells."""
+    if quantity.ndim < 3:
+        return np.broadcast_to(quantity, (len(points), max(1, quantity.size)))
+    assert medium.bounds is not None
+    low, high = medium.bounds
+    grid = quantity[..., None] if quantity.ndim == 3 else quantity
+    at = ((points - low) / (high - low))[:, ::-1] * grid.shape[:3] - 0.5
+    values = [ndimage.map_coordinates(part, at.T, order=1, mode="nearest") for part in np.moveaxis(grid, -1, 0)]
+    return np.stack(values, axis=1)
+
+
+def _on_surface(mesh: Mesh, textures: list[Array], points: Array, side: float) -> Array:
+    """Textures, or constants, [N, textures] at the points of a mesh that are next to points [N,3].
+
+    Points further than _NEAR from it have the mean.
+    """
+    if all(texture.ndim == 0 for texture in textures):
+        return np.asarray(np.broadcast_to(np.array(textures, np.float64), (len(points), len(textures))))
+    solid = trimesh.Trimesh(mesh.positions, mesh.faces, process=False)
+    samples, faces = trimesh.sample.sample_surface(solid, _SURFACE_SAMPLES, seed=0)
+    weights: Array = trimesh.triangles.points_to_barycentric(solid.triangles[faces], samples)  # type: ignore[no-untyped-call]
+    values = np.stack([interface_alpha(mesh, faces, weights[:, 1:], texture) for texture in textures], axis=1)
+    _distance, nearest = KDTree(samples).query(points, distance_upper_bound=_NEAR * side)
+    return np.asarray(np.concatenate([values, values.mean(axis=0, keepdims=True)])[nearest])
