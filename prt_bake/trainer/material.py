@@ -89,7 +89,8 @@ def _substance(part: Part, points: Array, side: float) -> Array:
         attenuation = side * _in_medium(part.medium, part.medium.sigma_t, points).mean(axis=1, keepdims=True)
         albedo = _in_medium(part.medium, part.medium.albedo, points)
     absorbed = np.maximum(1.0 - albedo, _LEAST_ABSORBED)
-    return np.log(np.concatenate([np.clip(attenuation, _LEAST_ATTENUATION, _OPAQUE), absorbed], axis=1))
+    attenuation = np.clip(attenuation, _LEAST_ATTENUATION, _OPAQUE)
+    return np.asarray(np.log(np.concatenate([attenuation, absorbed], axis=1)))
 
 
 def _in_medium(medium: Medium, quantity: Array, points: Array) -> Array:

@@ -33,6 +33,7 @@ RAY_SETTINGS = replace(
     lobes=0,
     shape_places=0,
     grid_places=0,
+    material_channels=0,
     light_places=0,
 )
 RNG = np.random.default_rng(3)
