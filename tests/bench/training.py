@@ -91,6 +91,7 @@ VARIANTS: dict[str, Variant] = {
     "1 lobe": network(lobes=1),
     "4 lobes": network(lobes=4),
     "no grid": network(grid_places=0),
+    "no material": network(material_channels=0),
     "grid of 24 nodes": network(grid_places=24),
     "grid of 48 nodes": network(grid_places=48),
     "4 features per node": network(grid_numbers=4),
