@@ -1,7 +1,8 @@
 """The channels of a scene's material that vary over it, sampled for the network (`prt_bake.network.features.material`).
 
-They are logarithms of the attenuation and of the absorbed share of each colour, and the roughness of the outermost
-interface. In an opaque body the absorbed share is that of its surface.
+They are logarithms of the attenuation, the mean over the colours, and of the absorbed share of each colour, relative to
+their means in the same body, and the roughness of the outermost interface. In an opaque body the absorbed share is that
+of its surface.
 """
 
 import numpy as np
@@ -23,7 +24,7 @@ Array = NDArray[np.float64]
 MOST_BYTES = 98_304
 """Byte budget of the material in a model file."""
 _FINEST = 64
-"""Nodes per box side where they fit."""
+"""Nodes per box side where they fit, and where the interior's grid is as fine."""
 _COARSER = 0.85
 _SURFACE_SAMPLES = 200_000
 _NEAR = 0.1
@@ -32,18 +33,18 @@ _LEAST_ATTENUATION, _OPAQUE = 1e-2, 1e3
 """Limits of the attenuation per box side."""
 _LEAST_ABSORBED = 1e-3
 _LEAST_RANGE = 0.02
-"""Difference between the highest and the lowest value, below which a channel is left out."""
+"""Least difference between the highest and the lowest value of a channel, logarithms or GGX alpha."""
 
 
 def material_of(bodies: list[Part], box: Box, interior: Interior, reach: float) -> Material | None:
     """The channels that vary at the nodes along view rays of length `reach`, on the finest grid within MOST_BYTES.
 
-    bodies: those of the interior, in its order. None if nothing varies within any of them: view rays show where one
-    body ends and another begins.
+    bodies: those of the interior, in its order. None if nothing varies within any of them. Where one body ends and
+    another begins is no part of it: view rays show that.
     """
     if not any(map(_varies, bodies)):
         return None
-    per_side = _FINEST
+    per_side = min(_FINEST, int(1.0 / interior.spacing))
     while True:
         nodes = np.argwhere(kept_places(interior, per_side, reach))
         channels = _channels(bodies, box, interior, np.array(interior.corner) + nodes / per_side)
@@ -60,7 +61,9 @@ def material_of(bodies: list[Part], box: Box, interior: Interior, reach: float) 
 
 def _varies(part: Part) -> bool:
     """Whether a body has a grid or a texture."""
-    quantities = [np.asarray(part.roughness)[..., None], np.zeros(3) if part.diffuse is None else part.diffuse]
+    quantities = [np.asarray(part.roughness)[..., None]]
+    if part.diffuse is not None:
+        quantities.append(part.diffuse)
     if part.medium is not None:
         quantities += [part.medium.sigma_t, part.medium.albedo]
     return any(quantity.ndim > 1 for quantity in quantities)
@@ -70,11 +73,15 @@ def _channels(bodies: list[Part], box: Box, interior: Interior, places: Array) -
     """All channels [K,5] at places [K,3] in box sides."""
     points = box.corner + box.side * places
     at = (places - interior.corner) / interior.spacing
-    found = np.empty((len(points), 4))
+    found, owner = np.empty((len(points), 4)), np.zeros(len(points), np.int64)
     for number, part in enumerate(bodies):
         inside = ndimage.map_coordinates(interior.levels[number].astype(np.float64), at.T, order=1, mode="nearest") > 0
         within = np.full(len(points), True) if number == 0 else inside
+        owner[within] = number
         found[within] = _substance(part, points[within], box.side)
+    for number in range(len(bodies)):
+        if (own := owner == number).any():
+            found[own] -= found[own].mean(axis=0)
     rough = _on_surface(bodies[0].mesh, [np.asarray(bodies[0].roughness)], points, box.side)
     return np.concatenate([found, rough], axis=1)
 
@@ -83,11 +90,11 @@ def _substance(part: Part, points: Array, side: float) -> Array:
     """Logarithms of the attenuation per box side and of the absorbed shares [N,4] in a body."""
     if part.medium is None:
         attenuation = np.full((len(points), 1), _OPAQUE)
-        reflectance = np.ones(3) if part.diffuse is None else part.diffuse
-        albedo = _on_surface(part.mesh, [reflectance[..., colour] for colour in range(3)], points, side)
+        assert part.diffuse is not None
+        albedo = _on_surface(part.mesh, [part.diffuse[..., colour] for colour in range(3)], points, side)
     else:
         attenuation = side * _in_medium(part.medium, part.medium.sigma_t, points).mean(axis=1, keepdims=True)
-        albedo = _in_medium(part.medium, part.medium.albedo, points)
+        albedo = np.broadcast_to(_in_medium(part.medium, part.medium.albedo, points), (len(points), 3))
     absorbed = np.maximum(1.0 - albedo, _LEAST_ABSORBED)
     attenuation = np.clip(attenuation, _LEAST_ATTENUATION, _OPAQUE)
     return np.asarray(np.log(np.concatenate([attenuation, absorbed], axis=1)))

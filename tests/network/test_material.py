@@ -167,3 +167,19 @@ def test_a_material_of_other_nodes_is_refused() -> None:
     fewer = replace(interior, material=Material(PER_SIDE, interior.material.rows[1:]))
     with pytest.raises(ModelError, match=r"its material has \d+ nodes, but view rays pass \d+"):
         NeuralBSSRDF(SETTINGS, interior=fewer)
+
+
+def test_a_file_without_half_of_its_material_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "model.pt"
+    save_model(NeuralBSSRDF(SETTINGS, interior=with_material(random_steps)), path)
+    content = torch.load(path, weights_only=True)
+    without = {name: tensor for name, tensor in content["tensors"].items() if name != "material"}
+    torch.save({**content, "tensors": without}, path)
+    with pytest.raises(ModelError, match=r"model\.pt: interior: its material is missing in part"):
+        load_model(path)
+
+
+def test_a_material_of_too_many_nodes_is_refused_before_memory_is_reserved() -> None:
+    interior = half_space()
+    with pytest.raises(ModelError, match=r"128 nodes per box side has about 1\.\d+e\+07 nodes"):
+        replace(interior, material=Material(128, np.zeros((8, 1), np.uint8)))

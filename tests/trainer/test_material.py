@@ -10,7 +10,7 @@ from formats.image import write_image
 from formats.scene import Scene, read_scene
 from prt_bake.network.bssrdf import PRESETS, load_model
 from prt_bake.network.features.feature_grid import kept_places
-from prt_bake.network.features.interior import Interior
+from prt_bake.network.features.interior import LEVELS, Interior
 from prt_bake.network.features.material import STEPS, Material
 from prt_bake.network.features.view_features import interval_edges
 from prt_bake.trainer import material as channels
@@ -88,24 +88,41 @@ def test_an_alpha_is_that_of_the_nearest_point_of_the_surface(tmp_path: Path) ->
     assert abs(middle[0] - texture.mean()) < 0.05 * (high - low)
 
 
-def test_seeds_of_the_grape_are_opaque_and_have_their_colours() -> None:
-    """The grape has two diffuse seeds with a texture, and a texture of the roughness: all five channels vary."""
+def test_channels_vary_within_bodies() -> None:
+    """The grape has two diffuse seeds with a texture, and a texture of the roughness. Its medium does not vary."""
     scene = read_scene(GRAPE)
     material, nodes = sampled(scene)
-    assert material.rows.shape[1] == 5
+    assert material.rows.shape[1] == 4
     seed = scene.parts[1].mesh
     inside = np.linalg.norm(nodes - seed.positions.mean(axis=0), axis=1) < 0.3 * np.ptp(seed.positions, axis=0).min()
     outside = np.linalg.norm(nodes, axis=1) > 0.8 * np.abs(scene.mesh.positions).max()
     assert inside.sum() > 10
-    assert (material.rows[inside, 0] == STEPS).all()
-    assert (material.rows[outside, 0] == 0).all()
-    reflectance = scene.parts[1].diffuse
-    assert reflectance is not None
-    medium = scene.parts[0].medium
-    assert medium is not None
-    darker = reflectance.reshape(-1, 3).mean(axis=0) < medium.albedo
-    means = [material.rows[mask, 1:4].mean(axis=0) for mask in (inside, outside)]
-    assert ((means[0] > means[1]) == darker).all()
+    assert (np.ptp(material.rows[outside, :3], axis=0) == 0).all()
+    assert (np.ptp(material.rows[inside, :3], axis=0) > STEPS / 4).any()
+    assert np.ptp(material.rows[outside, 3]) == STEPS
+
+
+def test_an_opaque_body_takes_no_steps_from_the_medium_around_it(tmp_path: Path) -> None:
+    alone = make_scene(tmp_path, ball(3), sigma_t=ramp(10.0, 14.0))
+    box, interior = box_of(alone), interior_of(alone, box_of(alone))
+    inner = replace(alone.parts[0], mesh=ball(2, 0.4), medium=None, diffuse=np.array([0.2, 0.5, 0.8]), parent=0)
+    core = (2 * interior.levels[0].astype(int) - LEVELS).clip(-LEVELS, LEVELS).astype(np.int8)
+    both = replace(interior, levels=np.stack([interior.levels[0], core]), attenuation=(12.0, 1e3))
+    material = channels.material_of([alone.parts[0], inner], box, both, 1.0)
+    assert material is not None
+    assert material.rows.shape[1] == 1
+    assert len(np.unique(material.rows)) == STEPS + 1
+
+
+@pytest.mark.parametrize("quantity", ["sigma_t", "albedo"])
+def test_grids_may_be_grey_or_coloured(tmp_path: Path, quantity: str) -> None:
+    """Of one grey grid all colours are alike; the attenuation is the mean over the colours."""
+    found = []
+    for grid in (ramp(0.2, 0.9), np.repeat(ramp(0.2, 0.9)[..., None], 3, axis=3)):
+        scene = make_scene(tmp_path, ball(3), **{quantity: grid})
+        found.append(sampled(scene)[0].rows)
+    np.testing.assert_array_equal(found[0], found[1])
+    assert found[0].shape[1] == (1 if quantity == "sigma_t" else 3)
 
 
 def test_scenes_without_grids_and_textures_have_no_material(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from torch import Tensor
 from formats.errors import ModelError
 from prt_bake.network.features.inner_bodies import InnerBody, packed_bodies, unpacked_bodies
 from prt_bake.network.features.lzma_bytes import packed_bytes, unpacked_bytes
-from prt_bake.network.features.material import Material
+from prt_bake.network.features.material import MOST_NODES, Material
 
 LEVELS = 15
 REACH = 3.0
@@ -73,6 +73,14 @@ class Interior:
                 f"found {list(self.attenuation)}"
             )
 
+        if self.material is not None:
+            extent = self.spacing * (np.array(grid[1:], np.float64) - 1.0)
+            nodes = np.prod(extent * self.material.per_side + 2.0)
+            if nodes > MOST_NODES:
+                raise ModelError(
+                    f"interior: a material of {self.material.per_side} nodes per box side has about {nodes:.3g} nodes; "
+                    f"expected at most {MOST_NODES}; train the model again"
+                )
         if self.inner and len(self.inner) != grid[0] - 1:
             raise ModelError(f"interior: {grid[0]} bodies need {grid[0] - 1} meshes inside, found {len(self.inner)}")
 
@@ -129,9 +137,11 @@ class Interior:
         levels = np.frombuffer(unpacked_bytes(packed, size, "grids"), np.int8).reshape(places)
         attenuation = tuple(float(n) for n in values["attenuation"])
         bodies = () if inner is None else unpacked_bodies(values["inner"], inner, places[0] - 1)
-        channels = None if material is None else Material.unpacked(values["material"], material)
+        if ("material" in values) != (material is not None):
+            raise ModelError("interior: its material is missing in part; copy the file again, or train the model again")
+        stored = None if material is None else Material.unpacked(values["material"], material)
         spacing, eta = float(values["spacing"]), float(values["eta"])
-        interior = Interior(levels, (x, y, z), spacing, attenuation, eta, bodies, channels)
+        interior = Interior(levels, (x, y, z), spacing, attenuation, eta, bodies, stored)
         extent = interior.spacing * max(places[1:])
         if max(abs(x), abs(y), abs(z), extent, interior.eta) > MAX_EXTENT:
             raise ModelError(

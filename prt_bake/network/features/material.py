@@ -30,7 +30,8 @@ class Material(NamedTuple):
     """Channels of the material at nodes 1/per_side box sides apart.
 
     rows uint8 [K,C], 0 to STEPS, are those of the nodes near which view rays pass, in the order of
-    `feature_grid.kept_places`. A channel has no unit: networks see it with mean 0 and a fixed variance.
+    `feature_grid.kept_places`. A channel has no unit: networks see it with mean 0, and with a fixed variance if
+    that is a step or more.
     """
 
     per_side: int
@@ -64,7 +65,7 @@ class Material(NamedTuple):
 
 
 def material_grid(material: Material, kept: NDArray[np.bool_]) -> Tensor:
-    """Channels at the nodes of a grid [X,Y,Z,blurs·C], with mean 0, each with the blurs MATERIAL_BLURS.
+    """Channels at the nodes of a grid [X,Y,Z,blurs·C], with mean 0 before the blurs MATERIAL_BLURS.
 
     kept [X,Y,Z] marks the nodes of the rows; a blur is a mean over these. Raises ModelError if their number differs.
     """
