@@ -46,7 +46,7 @@ __all__ = ["PRESETS", "NetworkSettings", "NeuralBSSRDF", "load_model", "save_mod
 FORMAT = "prtbake model"
 FORMAT_VERSION = 1
 INTERIOR, INNER, MATERIAL = "interior", "inner", "material"
-"""Names of the checkpoint's tensors that hold the interior's grids, and the meshes inside."""
+"""Names of the checkpoint's tensors that hold the interior's grids, the meshes inside, and the material."""
 _METADATA: Mapping[str, Check] = {
     "up": one_of("y", "z"),
     "unit": TEXT,

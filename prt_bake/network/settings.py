@@ -80,8 +80,8 @@ class NetworkSettings:
     grid_numbers: int = 8
     """Learned features per node; the inputs are those at x and their mean along the view ray."""
     material_channels: int = 0
-    """Channels of the material that are inputs (`features.material`): 0: none; else at least as many as the scene
-    has. A network's settings have the number of its interior."""
+    """Most channels of the material that are inputs (`features.material`); 0: none. A network's settings have the
+    number of channels of its interior."""
     light_places: int = 0
     """Points along light rays at which the late layers see the object's occupancy, half of them on the ray from x and
     half on the ray from within (`features.light_ray`). Needs ray_samples."""

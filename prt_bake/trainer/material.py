@@ -6,7 +6,6 @@ of its surface.
 """
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import KDTree
@@ -29,9 +28,8 @@ _COARSER = 0.85
 _SURFACE_SAMPLES = 200_000
 _NEAR = 0.1
 """Distance from a surface, in box sides, up to which its textures count."""
-_LEAST_ATTENUATION, _OPAQUE = 1e-2, 1e3
-"""Limits of the attenuation per box side."""
-_LEAST_ABSORBED = 1e-3
+_LEAST_ATTENUATION, _LEAST_ABSORBED = 1e-2, 1e-3
+"""Lower limits of the attenuation per box side and of the absorbed share, before their logarithms."""
 _LEAST_RANGE = 0.02
 """Least difference between the highest and the lowest value of a channel, logarithms or GGX alpha."""
 
@@ -73,15 +71,14 @@ def _channels(bodies: list[Part], box: Box, interior: Interior, places: Array) -
     """All channels [K,5] at places [K,3] in box sides."""
     points = box.corner + box.side * places
     at = (places - interior.corner) / interior.spacing
-    found, owner = np.empty((len(points), 4)), np.zeros(len(points), np.int64)
-    for number, part in enumerate(bodies):
-        inside = ndimage.map_coordinates(interior.levels[number].astype(np.float64), at.T, order=1, mode="nearest") > 0
-        within = np.full(len(points), True) if number == 0 else inside
-        owner[within] = number
-        found[within] = _substance(part, points[within], box.side)
-    for number in range(len(bodies)):
-        if (own := owner == number).any():
-            found[own] -= found[own].mean(axis=0)
+    body = np.zeros(len(points), np.int64)
+    for number, levels in enumerate(interior.levels[1:].astype(np.float64), start=1):
+        body[ndimage.map_coordinates(levels, at.T, order=1, mode="nearest") > 0] = number
+    found = np.empty((len(points), 4))
+    for number in np.unique(body):
+        own = body == number
+        values = _substance(bodies[number], points[own], box.side)
+        found[own] = values - values.mean(axis=0)
     rough = _on_surface(bodies[0].mesh, [np.asarray(bodies[0].roughness)], points, box.side)
     return np.concatenate([found, rough], axis=1)
 
@@ -89,14 +86,13 @@ def _channels(bodies: list[Part], box: Box, interior: Interior, places: Array) -
 def _substance(part: Part, points: Array, side: float) -> Array:
     """Logarithms of the attenuation per box side and of the absorbed shares [N,4] in a body."""
     if part.medium is None:
-        attenuation = np.full((len(points), 1), _OPAQUE)
+        attenuation = np.ones((len(points), 1))
         assert part.diffuse is not None
         albedo = _on_surface(part.mesh, [part.diffuse[..., colour] for colour in range(3)], points, side)
     else:
         attenuation = side * _in_medium(part.medium, part.medium.sigma_t, points).mean(axis=1, keepdims=True)
         albedo = np.broadcast_to(_in_medium(part.medium, part.medium.albedo, points), (len(points), 3))
-    absorbed = np.maximum(1.0 - albedo, _LEAST_ABSORBED)
-    attenuation = np.clip(attenuation, _LEAST_ATTENUATION, _OPAQUE)
+    attenuation, absorbed = np.maximum(attenuation, _LEAST_ATTENUATION), np.maximum(1.0 - albedo, _LEAST_ABSORBED)
     return np.asarray(np.log(np.concatenate([attenuation, absorbed], axis=1)))
 
 
@@ -119,9 +115,10 @@ def _on_surface(mesh: Mesh, textures: list[Array], points: Array, side: float) -
     """
     if all(texture.ndim == 0 for texture in textures):
         return np.asarray(np.broadcast_to(np.array(textures, np.float64), (len(points), len(textures))))
-    solid = trimesh.Trimesh(mesh.positions, mesh.faces, process=False)
-    samples, faces = trimesh.sample.sample_surface(solid, _SURFACE_SAMPLES, seed=0)
-    weights: Array = trimesh.triangles.points_to_barycentric(solid.triangles[faces], samples)  # type: ignore[no-untyped-call]
+    random, area = np.random.default_rng(0), np.asarray(mesh.face_areas, np.float64)
+    faces = random.choice(len(area), _SURFACE_SAMPLES, p=area / area.sum())
+    weights = random.dirichlet((1.0, 1.0, 1.0), _SURFACE_SAMPLES)
+    samples = np.einsum("nk,nkc->nc", weights, mesh.positions[mesh.faces[faces]])
     values = np.stack([interface_alpha(mesh, faces, weights[:, 1:], texture) for texture in textures], axis=1)
     _distance, nearest = KDTree(samples).query(points, distance_upper_bound=_NEAR * side)
     return np.asarray(np.concatenate([values, values.mean(axis=0, keepdims=True)])[nearest])

@@ -158,3 +158,13 @@ def test_a_training_sees_the_material(tmp_path: Path) -> None:
     assert load_model(tmp_path / "m.pt").settings == network.settings
     unseen = small_training.train_small(scene, 2, settings=replace(small, material_channels=0))
     assert unseen.settings.material_channels == 0
+
+
+def test_the_grid_is_no_finer_than_the_interior_s(tmp_path: Path) -> None:
+    """Its nodes are those around the nodes of the interior's grid, which would leave gaps."""
+    scene = make_scene(tmp_path, ball(2), sigma_t=ramp(1.0, 9.0))
+    box, interior = box_of(scene), interior_of(scene, box_of(scene))
+    coarse = replace(interior, levels=interior.levels[:, ::4, ::4, ::4], spacing=4.0 * interior.spacing)
+    material = channels.material_of(list(scene.parts), box, coarse, 1.0)
+    assert material is not None
+    assert material.per_side == int(1.0 / coarse.spacing) < 64
