@@ -117,11 +117,11 @@ def test_an_opaque_body_takes_no_steps_from_the_medium_around_it(tmp_path: Path)
 @pytest.mark.parametrize("quantity", ["sigma_t", "albedo"])
 def test_grids_may_be_grey_or_coloured(tmp_path: Path, quantity: str) -> None:
     """Of one grey grid all colours are alike; the attenuation is the mean over the colours."""
-    found = []
-    for grid in (ramp(0.2, 0.9), np.repeat(ramp(0.2, 0.9)[..., None], 3, axis=3)):
+    found, shift = [], np.array([-0.15, 0.0, 0.15]) if quantity == "sigma_t" else np.zeros(3)
+    for grid in (ramp(0.2, 0.9), ramp(0.2, 0.9)[..., None] + shift):
         scene = make_scene(tmp_path, ball(3), **{quantity: grid})
-        found.append(sampled(scene)[0].rows)
-    np.testing.assert_array_equal(found[0], found[1])
+        found.append(sampled(scene)[0].rows.astype(int))
+    assert np.abs(found[0] - found[1]).max() <= 1
     assert found[0].shape[1] == (1 if quantity == "sigma_t" else 3)
 
 
