@@ -98,7 +98,8 @@ def _describe_materials(part: Part, table: MediumTable | None) -> dict[str, str]
     for key, name in names.items():
         if name:
             material = find_material(name)
-            description[key] = f"{material.name}, measured with eta {material.eta:g}; the scene uses eta {part.eta:g}"
+            origin = "measured" if material.measured else "an estimate"
+            description[key] = f"{material.name}, {origin} with eta {material.eta:g}; the scene uses eta {part.eta:g}"
     return description
 
 
