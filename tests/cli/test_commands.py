@@ -338,4 +338,4 @@ def test_check_remarks_on_a_part_that_sticks_out(prtbake: Run, folder: Path) -> 
     assert checked.out.endswith("twins.toml: sound\n")
     description = json.loads(prtbake("info", "twins.toml", "--json").out)
     assert (description["parts"], description["twin: in"]) == (2, "object")
-    assert description["twin: material"] == "wholemilk, measured with eta 1.3; the scene uses eta 1"
+    assert description["twin: material"] == "whole milk, measured with eta 1.3; the scene uses eta 1"
