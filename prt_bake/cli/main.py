@@ -19,8 +19,10 @@ from prt_bake.cli.demo import demo
 from prt_bake.cli.export import export
 from prt_bake.cli.importance import importance
 from prt_bake.cli.info import info
+from prt_bake.cli.init import init
 from prt_bake.cli.light import light
 from prt_bake.cli.lobes import lobes
+from prt_bake.cli.materials import materials
 from prt_bake.cli.render import render
 from prt_bake.cli.reports.group import report
 from prt_bake.cli.sample import sample
@@ -39,6 +41,8 @@ app = typer.Typer(
 )
 COMMANDS: dict[str, Callable[..., None]] = {
     "demo": demo,
+    "init": init,
+    "materials": materials,
     "train": train,
     "sample": sample,
     "importance": importance,
@@ -55,7 +59,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "export": export,
 }
 for name, command in COMMANDS.items():
-    app.command(name, no_args_is_help=name != "demo")(command)
+    app.command(name, no_args_is_help=name not in ("demo", "materials"))(command)
 
 app.add_typer(report, name="report")
 
