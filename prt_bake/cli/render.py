@@ -9,6 +9,7 @@ import typer
 from formats.errors import PrtbakeError
 from prt_bake.cli.shared.mesh_name import naming_mesh
 from prt_bake.cli.shared.options import (
+    FLAT_SHADED,
     IMAGE_SUFFIXES,
     USUAL_FOV,
     Device,
@@ -21,6 +22,7 @@ from prt_bake.cli.shared.options import (
     Mend,
     Orthographic,
     PictureSize,
+    ReflectionNormals,
     ReportFile,
     Rotate,
     Seed,
@@ -77,6 +79,7 @@ def render(
             help="Add the light reflected at the surface.",
         ),
     ] = False,
+    normals: ReflectionNormals = None,
     unscattered: Annotated[
         bool,
         typer.Option(
@@ -148,6 +151,8 @@ def render(
 
     is_scene = source.suffix.lower() == ".toml"
     refuse_unseen_exposure(exposure, output, preview)
+    if normals is not None and not reflection:
+        raise typer.BadParameter("--normals: applies to the reflection; add --reflection")
     if is_scene:
         _refuse_network_options(sampling, device, precision, workers)
     surface = read_mesh(mesh)
@@ -165,6 +170,7 @@ def render(
         options: dict[str, Any] = {
             "up": up,
             "reflection": reflection,
+            "normals": normals,
             "error": error,
             "minutes": minutes,
             "checkpoint": checkpoint,
@@ -195,6 +201,8 @@ def render(
         say(f"{output}: {picture.negative:.1%} of the object's radiance is negative, as predicted by the network")
     if not picture.coverage.any():
         say(f"{output}: the camera sees nothing of the object; turn it to the object, or bring it nearer")
+    if reflection and normals is None and surface.flat_shaded:
+        say(f"{mesh}: {FLAT_SHADED}")
     if picture.black:
         say(f"{output}: the object is black; if it should receive light, render more {_unit(is_scene)}")
     if report is not None:

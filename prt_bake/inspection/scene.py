@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.mesh import texture_remark
+from formats.mesh import good_normals, texture_remark
 from formats.scene import read_scene
 from formats.scene.file import find_table_faults
 from formats.scene.materials import find_material
@@ -56,7 +56,7 @@ def find_remarks(path: str | Path) -> list[str]:
     """Return remarks on a sound scene as sentences.
 
     They name parts that stick out of their parents, grids beside their parts, the energy that rough boundaries lose to
-    single scattering, images that repeat, and scenes that networks learn badly.
+    single scattering, images that repeat, facets, and scenes that networks learn badly.
     """
     from prt_bake.geometry.nesting import protruding_parts
     from prt_bake.trainer.scene_warnings import training_warning
@@ -64,6 +64,7 @@ def find_remarks(path: str | Path) -> list[str]:
     scene = read_scene(path)
     parts, warning = scene.parts, training_warning(scene)
     remarks = [*protruding_parts(parts), *_misplaced_grids(parts), *_energy_losses(parts), *_repeated_images(parts)]
+    remarks += _facets(parts)
     return [f"{path}: {remark}" for remark in (*remarks, *([warning] if warning else []))]
 
 
@@ -157,6 +158,19 @@ def _repeated_images(parts: tuple[Part, ...]) -> list[str]:
         if textured and (remark := texture_remark(part.mesh)):
             sentences.append(f"{part.name!r}: {remark}")
     return sentences
+
+
+def _facets(parts: tuple[Part, ...]) -> list[str]:
+    """Return a sentence on the boundaries that refract light by faces although their vertex normals are good."""
+    faceted = [part for part in parts if part.diffuse is None and part.normals == "face"]
+    refracting = [part for part in faceted if part.eta != (1.0 if part.parent < 0 else parts[part.parent].eta)]
+    names = [repr(part.name) for part in refracting if good_normals(part.mesh)]
+    if not names:
+        return []
+    return [
+        f"{', '.join(names)}: light is refracted by the faces, so that a coarse mesh shows facets; "
+        'normals = "vertex" uses the vertex normals, which are good'
+    ]
 
 
 def _energy_losses(parts: tuple[Part, ...]) -> list[str]:

@@ -86,6 +86,21 @@ def test_reflection_is_optional_and_its_absence_is_reported(prtbake: Run, tmp_pa
     assert "its index of refraction is 1, so its surface reflects nothing" in matched.err
 
 
+def test_reflections_of_a_flat_shaded_mesh_show_its_faces_and_say_so(prtbake: Run, tmp_path: Path) -> None:
+    flat = glossy(ball(2))
+    write_asset(replace(flat, mesh=replace(flat.mesh, flat_shaded=True)), tmp_path / "flat.h5")
+    options = ["--light", "sun:0,0,-1", "--size", "24x24", "--reflection"]
+    pictures = []
+    for number, further in enumerate(([], ["--normals", "face"], ["--normals", "vertex"])):
+        output = tmp_path / f"{number}.exr"
+        outcome = prtbake("shade", tmp_path / "flat.h5", *options, *further, "-o", output)
+        assert outcome.code == 0
+        assert ("flat shaded, so that reflections show its faces; --normals vertex" in outcome.err) == (number == 0)
+        pictures.append(read_image(output))
+    np.testing.assert_array_equal(pictures[0], pictures[1])
+    assert np.abs(pictures[0] - pictures[2]).max() > 0.01
+
+
 def test_cameras_of_every_kind(prtbake: Run, tmp_path: Path, polished: Path) -> None:
     shown = {}
     for name, options in {
@@ -174,7 +189,8 @@ def test_a_roughness_image_whose_channels_differ_is_a_warning(prtbake: Run, tmp_
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["-o", "x.png", "--roughness", "0.1"], "applies to the reflection; add --reflection"),
+        (["-o", "x.png", "--roughness", "0.1"], "--roughness: applies to the reflection; add --reflection"),
+        (["-o", "x.png", "--normals", "face"], "--normals: applies to the reflection; add --reflection"),
         (
             ["-o", "x.png", "--reflection", "--roughness", "1.5"],
             "--roughness: expected a GGX alpha from 0 to 1 or an image, found 1.5",

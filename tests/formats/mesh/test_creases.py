@@ -4,13 +4,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 import trimesh
 
 from formats.asset import read_asset, write_asset
 from formats.mesh import Mesh, build_mesh, good_normals, read_mesh
+from prt_bake.inspection.files import find_remarks
 from prt_bake.mathematics.sphere import tangent_frame
 from tests.formats.asset.test_asset import make_asset
 from tests.shapes import ball, ring
+from tests.tracer.scenes import make_scene
 
 
 def of(made: trimesh.Trimesh) -> Mesh:
@@ -88,3 +91,28 @@ def test_smooth_files_and_planes_are_not_flat_shaded(tmp_path: Path) -> None:
     plane = build_mesh(square, np.array([[0, 1, 2], [0, 2, 3]]))
     write_obj(tmp_path / "plane.obj", plane, plane.normals, plane.faces)
     assert not read_mesh(tmp_path / "plane.obj").flat_shaded
+
+
+def test_check_remarks_on_flat_shading(tmp_path: Path) -> None:
+    mesh = ball(2)
+    each = np.repeat(np.arange(len(mesh.faces))[:, None], 3, axis=1)
+    write_obj(tmp_path / "flat.obj", mesh, mesh.face_normals, each)
+    (remark,) = find_remarks(tmp_path / "flat.obj")
+    assert "flat.obj: it is flat shaded, one normal per face, so that reflections show its faces; export" in remark
+    write_obj(tmp_path / "smooth.obj", mesh, mesh.normals, mesh.faces)
+    assert find_remarks(tmp_path / "smooth.obj") == []
+
+
+@pytest.mark.parametrize(
+    ("made", "eta", "normals", "remarked"),
+    [
+        ("ball", 1.5, "face", True),
+        ("ball", 1.0, "face", False),
+        ("ball", 1.5, "vertex", False),
+        ("box", 1.5, "face", False),
+    ],
+)
+def test_check_remarks_on_refraction_by_faces(tmp_path: Path, made, eta, normals, remarked) -> None:
+    scene = make_scene(tmp_path, of(trimesh.creation.box()) if made == "box" else ball(2), normals, eta=eta)
+    found = [remark for remark in find_remarks(scene.path) if "'object': light is refracted by the faces" in remark]
+    assert len(found) == remarked
