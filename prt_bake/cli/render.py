@@ -28,6 +28,7 @@ from prt_bake.cli.shared.options import (
     Seed,
     Size,
     Up,
+    View,
     optional_output,
     output_option,
     refuse_unseen_exposure,
@@ -110,6 +111,7 @@ def render(
     ] = None,
     every: Annotated[float, typer.Option(min=0, max=1e6, help="Seconds between previews.")] = 10.0,
     size: PictureSize = Size(640, 480),
+    side: View = None,
     eye: Eye = None,
     look_at: LookAt = None,
     fov: Fov = USUAL_FOV,
@@ -159,7 +161,7 @@ def render(
     opened = _open(source, surface, device)
     axis = up or (opened.up if is_scene else opened.metadata.get("up", "y"))
     lighting = read_lighting(light, axis, rotate, mend=mend, say=say, mesh=surface)
-    view = camera_for(surface, size, axis, eye, look_at, fov, orthographic, extent)
+    view = camera_for(surface, size, axis, side, eye, look_at, fov, orthographic, extent)
     if resume and spp is None and minutes is None and error is None:
         limits = stored_limits(checkpoint)
         spp, minutes, error = limits.get("spp"), limits.get("minutes"), limits.get("error")

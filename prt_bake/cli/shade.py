@@ -25,6 +25,7 @@ from prt_bake.cli.shared.options import (
     Size,
     Suns,
     Up,
+    View,
     optional_output,
     output_option,
     refuse_unseen_exposure,
@@ -42,6 +43,7 @@ def shade(
     light: Lights,
     output: Annotated[Path, output_option("IMAGE", *IMAGE_SUFFIXES, *ANIMATION_SUFFIXES)],
     size: PictureSize = Size(640, 480),
+    side: View = None,
     eye: Eye = None,
     look_at: LookAt = None,
     fov: Fov = USUAL_FOV,
@@ -119,7 +121,7 @@ def shade(
     warn_of_failed_selftest(baked, asset)
     axis = up or baked.up
     turns = frames if turntable == "eye" else 1
-    view = camera_for(baked.mesh, size, axis, eye, look_at, fov, orthographic, extent, turns)
+    view = camera_for(baked.mesh, size, axis, side, eye, look_at, fov, orthographic, extent, turns)
     rows = rows_shown(view.height, view.fov)
     lighting = read_lighting(
         light, axis, rotate, mend=mend, say=say, mesh=baked.mesh, most_rows=rows, degree=baked.degree

@@ -116,7 +116,16 @@ PictureSize = Annotated[
 ]
 Eye = Annotated[
     Point | None,
-    typer.Option(parser=_read_point, metavar="x,y,z", help="Camera position; by default frames the object."),
+    typer.Option(parser=_read_point, metavar="x,y,z", help="Camera position, in place of --view.", show_default=False),
+]
+View = Annotated[
+    Literal["front", "back", "left", "right", "three-quarter", "three-quarter-back"] | None,
+    typer.Option(
+        "--view",
+        help="Side that the camera stands on: front is +z (with z up -y), right is +x; by default three-quarter, from "
+        "the front, the right and above.",
+        show_default=False,
+    ),
 ]
 LookAt = Annotated[
     Point | None,
