@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import MeshError, warn
-from formats.mesh import geometry
+from formats.mesh import creases, geometry
 from formats.mesh.edges import edges_of, inside_out, two_sided_faces
 from formats.mesh.normals import refuse_wrong_side
 
@@ -19,6 +19,10 @@ _FEW_CANCELLED = 0.01
 """Share of vertices without a normal up to which doubled faces are a few flaps, not a second side."""
 _MOST_CANCELLED = 0.5
 """Share from which a mesh has two sides even if no face is doubled. Where solids touch, normals may cancel, too."""
+_MOST_CREASED = 0.3
+"""Share of the area of faces with a corner at a sharp edge, up to which vertex normals are good."""
+_MOST_SPLIT = 0.01
+"""Share of the vertices at hard edges of the file up to which vertex normals are good."""
 _ONE_SIDE = "export it with one side, or remove the doubled faces in a mesh editor"
 
 
@@ -40,6 +44,7 @@ class Mesh:
             such a vertex has the normal of any of its faces.
         split_normals: number of vertices at which the file's normals differ by more than `SPLIT_ANGLE`, as at hard
             edges; such a vertex has their mean.
+        flat_shaded: whether the normals of the file are constant on each face, although the surface bends.
 
     >>> import prt_bake as prt
     >>> mesh = prt.Mesh(
@@ -60,6 +65,7 @@ class Mesh:
     dropped_faces: int = 0
     cancelled_normals: int = 0
     split_normals: int = 0
+    flat_shaded: bool = False
 
     def __post_init__(self) -> None:
         count, triangles = len(self.positions), len(self.faces)
@@ -107,6 +113,11 @@ class Mesh:
         return geometry.face_areas(self.positions - self.center, self.faces)
 
     @cached_property
+    def corner_normals(self) -> NDArray[np.float64]:
+        """The unit normals at the corners of each face [F,3,3], as `creases.corner_normals`: apart at sharp edges."""
+        return creases.corner_normals(self.positions - self.center, self.faces, self.normals)
+
+    @cached_property
     def content_hash(self) -> str:
         """SHA-256 of positions (little-endian float64) and faces (little-endian uint32), 64 hexadecimal digits."""
         digest = hashlib.sha256(self.positions.astype("<f8").tobytes())
@@ -126,6 +137,22 @@ def build_mesh(positions: NDArray[np.float64], faces: NDArray[np.integer]) -> Me
     positions = np.ascontiguousarray(positions, np.float64)
     normals, cancelled = _normals_of_faces(positions, faces)
     return Mesh(positions, np.ascontiguousarray(faces, np.int32), normals, cancelled_normals=int(cancelled.sum()))
+
+
+def good_normals(mesh: Mesh) -> bool:
+    """Return whether light may be refracted by the vertex normals everywhere: scenes with `normals = "vertex"`.
+
+    False for flat shading, hard edges in the file, and sharp edges (above 60 degrees) around a third of the surface.
+
+    >>> import trimesh
+    >>> ball, box = trimesh.creation.icosphere(), trimesh.creation.box()
+    >>> good_normals(build_mesh(ball.vertices, ball.faces)), good_normals(build_mesh(box.vertices, box.faces))
+    (True, False)
+    """
+    if mesh.flat_shaded or mesh.split_normals > _MOST_SPLIT * len(mesh.positions):
+        return False
+    apart = np.linalg.norm(mesh.corner_normals - mesh.normals[mesh.faces], axis=2).max(axis=1) > 1e-3
+    return float(mesh.face_areas[apart].sum()) <= _MOST_CREASED * float(mesh.face_areas.sum())
 
 
 def _normals_of_faces(

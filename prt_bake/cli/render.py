@@ -9,6 +9,7 @@ import typer
 from formats.errors import PrtbakeError
 from prt_bake.cli.shared.mesh_name import naming_mesh
 from prt_bake.cli.shared.options import (
+    FLAT_SHADED,
     IMAGE_SUFFIXES,
     USUAL_FOV,
     Device,
@@ -21,11 +22,13 @@ from prt_bake.cli.shared.options import (
     Mend,
     Orthographic,
     PictureSize,
+    ReflectionNormals,
     ReportFile,
     Rotate,
     Seed,
     Size,
     Up,
+    View,
     optional_output,
     output_option,
     refuse_unseen_exposure,
@@ -77,6 +80,7 @@ def render(
             help="Add the light reflected at the surface.",
         ),
     ] = False,
+    normals: ReflectionNormals = None,
     unscattered: Annotated[
         bool,
         typer.Option(
@@ -107,6 +111,7 @@ def render(
     ] = None,
     every: Annotated[float, typer.Option(min=0, max=1e6, help="Seconds between previews.")] = 10.0,
     size: PictureSize = Size(640, 480),
+    side: View = None,
     eye: Eye = None,
     look_at: LookAt = None,
     fov: Fov = USUAL_FOV,
@@ -148,13 +153,15 @@ def render(
 
     is_scene = source.suffix.lower() == ".toml"
     refuse_unseen_exposure(exposure, output, preview)
+    if normals is not None and not reflection:
+        raise typer.BadParameter("--normals: applies to the reflection; add --reflection")
     if is_scene:
         _refuse_network_options(sampling, device, precision, workers)
     surface = read_mesh(mesh)
     opened = _open(source, surface, device)
     axis = up or (opened.up if is_scene else opened.metadata.get("up", "y"))
     lighting = read_lighting(light, axis, rotate, mend=mend, say=say, mesh=surface)
-    view = camera_for(surface, size, axis, eye, look_at, fov, orthographic, extent)
+    view = camera_for(surface, size, axis, side, eye, look_at, fov, orthographic, extent)
     if resume and spp is None and minutes is None and error is None:
         limits = stored_limits(checkpoint)
         spp, minutes, error = limits.get("spp"), limits.get("minutes"), limits.get("error")
@@ -165,6 +172,7 @@ def render(
         options: dict[str, Any] = {
             "up": up,
             "reflection": reflection,
+            "normals": normals,
             "error": error,
             "minutes": minutes,
             "checkpoint": checkpoint,
@@ -195,6 +203,8 @@ def render(
         say(f"{output}: {picture.negative:.1%} of the object's radiance is negative, as predicted by the network")
     if not picture.coverage.any():
         say(f"{output}: the camera sees nothing of the object; turn it to the object, or bring it nearer")
+    if reflection and normals is None and surface.flat_shaded:
+        say(f"{mesh}: {FLAT_SHADED}")
     if picture.black:
         say(f"{output}: the object is black; if it should receive light, render more {_unit(is_scene)}")
     if report is not None:

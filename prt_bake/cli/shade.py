@@ -8,6 +8,7 @@ import typer
 
 from prt_bake.cli.shared.options import (
     ANIMATION_SUFFIXES,
+    FLAT_SHADED,
     IMAGE_SUFFIXES,
     USUAL_FOV,
     Exposure,
@@ -19,10 +20,12 @@ from prt_bake.cli.shared.options import (
     Mend,
     Orthographic,
     PictureSize,
+    ReflectionNormals,
     Rotate,
     Size,
     Suns,
     Up,
+    View,
     optional_output,
     output_option,
     refuse_unseen_exposure,
@@ -40,6 +43,7 @@ def shade(
     light: Lights,
     output: Annotated[Path, output_option("IMAGE", *IMAGE_SUFFIXES, *ANIMATION_SUFFIXES)],
     size: PictureSize = Size(640, 480),
+    side: View = None,
     eye: Eye = None,
     look_at: LookAt = None,
     fov: Fov = USUAL_FOV,
@@ -63,6 +67,7 @@ def shade(
             show_default=False,
         ),
     ] = None,
+    normals: ReflectionNormals = None,
     transparent: Annotated[
         bool, typer.Option("--transparent", help="Write an alpha channel instead of the background (.exr, .png).")
     ] = False,
@@ -98,7 +103,7 @@ def shade(
     light reflected at the surface. An .exr has the standard error of the bake (error.R, error.G, error.B) and the
     object's coverage (coverage.Y).
     """
-    _refuse_ineffective(output, transparent, layers, turntable, error_picture, reflection, roughness)
+    _refuse_ineffective(output, transparent, layers, turntable, error_picture, reflection, roughness, normals)
     refuse_unseen_exposure(exposure, output)
     if turntable is None and (frames, seconds) != (_FRAMES, _SECONDS):
         raise typer.BadParameter("--frames and --seconds apply to turntables; add --turntable eye")
@@ -116,7 +121,7 @@ def shade(
     warn_of_failed_selftest(baked, asset)
     axis = up or baked.up
     turns = frames if turntable == "eye" else 1
-    view = camera_for(baked.mesh, size, axis, eye, look_at, fov, orthographic, extent, turns)
+    view = camera_for(baked.mesh, size, axis, side, eye, look_at, fov, orthographic, extent, turns)
     rows = rows_shown(view.height, view.fov)
     lighting = read_lighting(
         light, axis, rotate, mend=mend, say=say, mesh=baked.mesh, most_rows=rows, degree=baked.degree
@@ -127,6 +132,7 @@ def shade(
         "background": not transparent,
         "reflection": reflection,
         "roughness": None if roughness is None else _read_roughness(roughness),
+        "normals": normals,
         "layers": _names(layers, error_picture is not None),
         "suns": suns,
     }
@@ -140,6 +146,8 @@ def shade(
         write_error_picture(error_picture, picture)
     for remark in _remarks(baked, light, rotate, view.eye, picture, reflection):
         say(f"{asset}: {remark}")
+    if picture.reflects and normals is None and baked.mesh.flat_shaded:
+        say(f"{asset}: {FLAT_SHADED}")
     print(f"{asset}: error of the coefficients {baked.error}")
     error = f"{picture.relative_error:.2%} of the object's radiance" if picture.relative_error else "unknown"
     print(
@@ -223,6 +231,7 @@ def _refuse_ineffective(
     error_picture: Path | None,
     reflection: bool,
     roughness: str | None,
+    normals: str | None,
 ) -> None:
     """Raise typer.BadParameter for options that need others, or that the output's format cannot store."""
     suffix = output.suffix.lower()
@@ -235,8 +244,9 @@ def _refuse_ineffective(
         )
     if turntable is None and "%" in output.name:
         raise typer.BadParameter(f"--output: {output.name} names numbered pictures; add --turntable eye")
-    if roughness is not None and not reflection:
-        raise typer.BadParameter("--roughness: applies to the reflection; add --reflection")
+    for name, value in (("--roughness", roughness), ("--normals", normals)):
+        if value is not None and not reflection:
+            raise typer.BadParameter(f"{name}: applies to the reflection; add --reflection")
     if turntable is not None and (transparent or layers or error_picture is not None):
         raise typer.BadParameter("--turntable: cannot be combined with --transparent, --layers or --error-picture")
     if transparent and suffix not in (".exr", ".png"):

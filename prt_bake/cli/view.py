@@ -21,6 +21,7 @@ from prt_bake.cli.shared.options import (
     Size,
     Suns,
     Up,
+    View,
     optional_output,
     read_size,
 )
@@ -66,6 +67,7 @@ def view(
             show_default=False,
         ),
     ] = None,
+    side: View = None,
     eye: Eye = None,
     look_at: LookAt = None,
     fov: Fov = USUAL_FOV,
@@ -82,7 +84,7 @@ def view(
     if screenshot is None and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         raise QueryError(f"view: {_WITHOUT_DISPLAY}")
     check_outputs({"--screenshot": screenshot}, {"ASSET": asset, "--light": light, "--compare": compare})
-    options = _Options(light, up, rotate, exposure, mend, suns, compare, size, eye, look_at, fov)
+    options = _Options(light, up, rotate, exposure, mend, suns, compare, size, side, eye, look_at, fov)
     from formats.asset import read_asset
 
     with ThreadPoolExecutor(1) as executor:
@@ -114,6 +116,7 @@ class _Options(NamedTuple):
     suns: "SunTreatment"
     compare: Path | None
     size: Size | None
+    side: str | None
     eye: Point | None
     look_at: Point | None
     fov: float
@@ -145,7 +148,7 @@ def _open(baked: "Asset", options: _Options, refined: bool) -> _Opened:
     preview = Preview(baked, sources, up=axis, rotation=options.rotate, exposure=options.exposure, suns=options.suns)
     reference = None if options.compare is None else read_image(options.compare)
     shape = options.size or (DEFAULT_SIZE if reference is None else Size(reference.shape[1], reference.shape[0]))
-    start = camera_for(baked.mesh, shape, axis, options.eye, options.look_at, options.fov, False, None)
+    start = camera_for(baked.mesh, shape, axis, options.side, options.eye, options.look_at, options.fov, False, None)
     camera.refuse_eye_in_object(baked.mesh, start.eye)
     if refined:
         preview.refine(start.eye)

@@ -16,6 +16,7 @@ from formats.errors import QueryError, refuse_path
 from formats.image.single import single_precision
 from prt_bake.geometry.camera import Camera, Visibility, rays, refuse_eye_in_object
 from prt_bake.lights.lighting import Lighting, as_lighting
+from prt_bake.reflection.finish import Normals
 from prt_bake.shading.asset_light import light_for
 from prt_bake.shading.layers import make_layers
 from prt_bake.shading.radiance_error import interpolate_over_faces, radiance_error
@@ -72,6 +73,7 @@ def render_picture(
     background: bool = True,
     reflection: bool = False,
     roughness: float | NDArray[np.float64] | None = None,
+    normals: Normals | None = None,
     layers: tuple[str, ...] = (),
     suns: SunTreatment = "split",
 ) -> Picture:
@@ -87,11 +89,13 @@ def render_picture(
         background: whether the sky is visible behind the object.
         reflection: adds the light reflected at the surface, unless the object's index is that of its surroundings.
         roughness: GGX alpha in place of the asset's, a number or a texture [H,W] in the mesh's texture coordinates.
+        normals: those of the reflection: "vertex", interpolated but apart at edges sharper than 60 degrees, or "face".
+            By default "vertex", unless the mesh file is flat shaded.
         layers: names of `prt_bake.shading.layers.LAYERS` to compute.
         suns: how suns are shaded (`prt_bake.shading.sun_shading`); their reflection is always exact.
 
-    Raises QueryError if no vertex is valid, the camera misses the object, the eye is inside it, or the roughness of a
-    reflection is unknown.
+    Raises QueryError if no vertex is valid, the camera misses the object, the eye is inside it, the roughness of a
+    reflection is unknown, or its normals are of another kind.
 
     >>> import prt_bake as prt
     >>> asset = prt.read_asset("spot.h5")
@@ -123,7 +127,7 @@ def render_picture(
     reflecting = reflection and reflects(asset)
     if reflecting:
         light_weights = light_coefficients(asset, prepared.whole)
-        surface = AssetReflection(asset, lighting, light_weights, visibility, samples**2, roughness)
+        surface = AssetReflection(asset, lighting, light_weights, visibility, samples**2, roughness, normals)
         parts["reflection"], difference = _reflect(surface, points)
         picture = picture + pixels.means(parts["reflection"])
         errors = np.hypot(errors, pixels.means(difference))

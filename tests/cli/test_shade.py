@@ -56,7 +56,8 @@ def test_shade_takes_several_lights(prtbake: Run, tmp_path: Path) -> None:
     for number, lights in enumerate([[one] for one in given] + [given]):
         output = tmp_path / f"{number}.exr"
         options = [option for light in lights for option in ("--light", light)]
-        assert prtbake("shade", "asset.h5", *options, "-o", output, "--size", "16x12").code == 0
+        options += ["--size", "16x12", "--view", "three-quarter-back"]
+        assert prtbake("shade", "asset.h5", *options, "-o", output).code == 0
         pictures.append(read_image(output))
     # Negative radiance is clamped, so that the sum of the parts can be larger than the whole.
     separate = sum(pictures[:3])
@@ -86,6 +87,21 @@ def test_reflection_is_optional_and_its_absence_is_reported(prtbake: Run, tmp_pa
     assert "its index of refraction is 1, so its surface reflects nothing" in matched.err
 
 
+def test_reflections_of_a_flat_shaded_mesh_show_its_faces_and_say_so(prtbake: Run, tmp_path: Path) -> None:
+    flat = glossy(ball(2))
+    write_asset(replace(flat, mesh=replace(flat.mesh, flat_shaded=True)), tmp_path / "flat.h5")
+    options = ["--light", "sun:0,0,-1", "--size", "24x24", "--reflection"]
+    pictures = []
+    for number, further in enumerate(([], ["--normals", "face"], ["--normals", "vertex"])):
+        output = tmp_path / f"{number}.exr"
+        outcome = prtbake("shade", tmp_path / "flat.h5", *options, *further, "-o", output)
+        assert outcome.code == 0
+        assert ("flat shaded, so that reflections show its faces; --normals vertex" in outcome.err) == (number == 0)
+        pictures.append(read_image(output))
+    np.testing.assert_array_equal(pictures[0], pictures[1])
+    assert np.abs(pictures[0] - pictures[2]).max() > 0.01
+
+
 def test_cameras_of_every_kind(prtbake: Run, tmp_path: Path, polished: Path) -> None:
     shown = {}
     for name, options in {
@@ -103,6 +119,22 @@ def test_cameras_of_every_kind(prtbake: Run, tmp_path: Path, polished: Path) -> 
     assert np.flatnonzero(shown["offset"].any(axis=0)).mean() < 14
     for wrong in (["--fov", 180], ["--extent", 0], ["--look-at", "1,2"]):
         assert prtbake("shade", polished, "--light", "sun:0,0,1", "-o", tmp_path / "x.png", *wrong).code == 2
+
+
+def test_the_camera_stands_in_front_by_default(prtbake: Run, tmp_path: Path, polished: Path) -> None:
+    """A sun behind the default camera is reflected into it; one on the other side is not."""
+    shown = {}
+    for side in ("default", "three-quarter", "three-quarter-back", "front", "right"):
+        output = tmp_path / f"{side}.exr"
+        chosen = [] if side == "default" else ["--view", side]
+        options = ["--light", "sun:0.43,0.24,0.87", "--reflection", "--size", "16x16", "--layers", "all"]
+        assert prtbake("shade", polished, *options, *chosen, "-o", output).code == 0
+        shown[side] = read_layers(output).layers["reflection"]
+    np.testing.assert_array_equal(shown["default"], shown["three-quarter"])
+    assert shown["default"].sum() > 2.0 * shown["three-quarter-back"].sum()
+    middle = {side: shown[side].sum(axis=(0, 2)) @ np.linspace(-1.0, 1.0, 16) for side in ("front", "right")}
+    # From the front the sun stands on the right, from the right on the left.
+    assert middle["front"] > 0.0 > middle["right"]
 
 
 def test_a_transparent_picture_has_an_alpha_channel(prtbake: Run, tmp_path: Path, polished: Path) -> None:
@@ -174,7 +206,8 @@ def test_a_roughness_image_whose_channels_differ_is_a_warning(prtbake: Run, tmp_
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["-o", "x.png", "--roughness", "0.1"], "applies to the reflection; add --reflection"),
+        (["-o", "x.png", "--roughness", "0.1"], "--roughness: applies to the reflection; add --reflection"),
+        (["-o", "x.png", "--normals", "face"], "--normals: applies to the reflection; add --reflection"),
         (
             ["-o", "x.png", "--reflection", "--roughness", "1.5"],
             "--roughness: expected a GGX alpha from 0 to 1 or an image, found 1.5",
@@ -188,6 +221,7 @@ def test_a_roughness_image_whose_channels_differ_is_a_warning(prtbake: Run, tmp_
         (["-o", "x.exr", "--exposure", "2"], "--exposure: has no effect on .exr, which"),
         (["-o", "x_%03d.hdr", "--turntable", "eye", "--exposure", "1"], "--exposure: has no effect on .hdr, which"),
         (["-o", "x.png", "--orthographic", "--fov", "50"], "no field of view; omit --fov or --orthographic"),
+        (["-o", "x.png", "--view", "front", "--eye", "0,0,5"], "--view: --eye places the camera; omit one of them"),
         (["-o", "x.png", "--extent", "3", "--fov", "50"], "no field of view; omit --fov or --extent"),
     ],
 )
