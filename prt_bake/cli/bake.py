@@ -18,6 +18,8 @@ from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.plan import plan_lines
 from prt_bake.cli.shared.progress import bake_progress, reporting, say, stopping
 
+OTHER_EFFORTS = "; --error, --minutes or --samples choose another"
+
 
 @naming_mesh
 def bake(
@@ -31,12 +33,19 @@ def bake(
     directions: Annotated[
         Literal["fibonacci", "sobol", "uniform"], typer.Option(help="Point set of the light directions.")
     ] = "fibonacci",
-    samples: Annotated[int, typer.Option(min=1, help="Light directions per view bin; for a scene, paths.")] = 64,
+    samples: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Fixed number of light directions per view bin; for a scene, of paths (64 by default).",
+            show_default=False,
+        ),
+    ] = None,
     error: Annotated[
         float | None,
         typer.Option(
             callback=within(0.0, 1.0),
-            help="Adaptive bake: relative RMSE to reach, of the object and of 95 % of its vertices.",
+            help="Relative RMSE to reach, of the object and of 95 % of its vertices; 0.02 by default for a model.",
             show_default=False,
         ),
     ] = None,
@@ -126,6 +135,7 @@ def bake(
         walks_here = source.suffix.lower() == ".toml" and scheduler is None and device == "cpu"
         workers = (os.cpu_count() or 1) if walks_here else 1
     sampling = (degree, rings, sectors, directions, samples)
+    effort = baking.choose_effort(transport, directions, samples, error, minutes)
     shared: Any = {
         "precision": precision,
         "storage": storage,
@@ -143,6 +153,7 @@ def bake(
     assert output is not None
     if resume and not (journal := journal_folder(output)).is_dir():
         say(f"{journal}: there is no checkpoint to resume from; the bake starts from the beginning")
+    say(f"bakes {effort.sentence}" + OTHER_EFFORTS * effort.sentence.endswith("the default"))
     with reporting("bake", "pilot on a few vertices") as show, stopping() as stop:
         asset = baking.bake(
             transport,

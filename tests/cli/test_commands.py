@@ -151,8 +151,19 @@ def test_the_plan_on_a_terminal(folder: Path) -> None:
     lines = list(plan_lines(plan))
     assert lines[0] == "42 vertices × 1,024 view bins, 9 SH coefficients"
     assert "774,144 evaluations, 18.0 per bin" in lines
-    assert lines[3].startswith("about ")
+    assert lines[3] == "bakes with 18 directions per view bin"
+    assert lines[4].startswith("about ")
     assert any(line.startswith("kept: unseen: 0 of 42 vertices") for line in lines)
+
+
+def test_a_bake_without_options_says_its_default(prtbake: Run, tmp_path: Path) -> None:
+    bins = ["--rings", 1, "--sectors", 4, "--lobes", 0]
+    baked = prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", *bins)
+    assert "bakes to 2 % error, the default; --error, --minutes or --samples choose another" in baked.err
+    assert (
+        "prtbake: bakes for 0.02 minutes\n"
+        in prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "b.h5", *bins, "--minutes", 0.02).err
+    )
 
 
 @pytest.mark.parametrize(

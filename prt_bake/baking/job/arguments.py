@@ -31,7 +31,7 @@ def refuse_unusable(
     degree: int,
     rings: int,
     sectors: int,
-    samples: int,
+    samples: int | None,
     error: float | None,
     minutes: float | None,
     seed: int,
@@ -46,7 +46,8 @@ def refuse_unusable(
     _require_integer("degree", degree, 0, HIGHEST_DEGREE)
     _require_integer("rings", rings, 1, None)
     _require_integer("sectors", sectors, 1, None)
-    _require_integer("samples", samples, 1, None)
+    if samples is not None:
+        _require_integer("samples", samples, 1, None)
     _require_integer("seed", seed, 0, 2**63 - 1)
     _require_integer("workers", workers, 1, MOST_WORKERS)
     _require_integer("lobes", lobes, 0, MOST_LOBES)
