@@ -86,6 +86,17 @@ def requires_matplotlib(task: str) -> Iterator[None]:
         raise PrtbakeError(f"{task}: matplotlib is not installed; install prt-bake[evaluate]") from None
 
 
+@contextmanager
+def requires_pyvista(task: str) -> Iterator[None]:
+    """Context of imports from PyVista. Raises PrtbakeError, which begins with the task, if it is not installed."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] not in ("pyvista", "vtkmodules"):
+            raise
+        raise PrtbakeError(f"{task}: PyVista is not installed; pip install pyvista") from None
+
+
 def warn(sentence: str) -> None:
     """Issue an InputWarning; the command line prints it as one line on standard error."""
     warnings.warn(sentence, InputWarning, stacklevel=2)

@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,6 +131,18 @@ class Mesh:
         if self.uv is None or self.corner_uv is None:
             return self.corner_uv is None
         return np.array_equal(self.uv[self.faces], self.corner_uv)
+
+    def to_pyvista(self) -> Any:
+        """Return the mesh as `pyvista.PolyData`, with the vertex normals in the array "Normals".
+
+        Raises PrtbakeError if PyVista is not installed.
+
+        >>> import prt_bake as prt
+        >>> prt.read_mesh("spot.obj").to_pyvista().plot(off_screen=True)
+        """
+        from formats.mesh.polydata import polydata
+
+        return polydata(self.positions, self.faces, self.normals)
 
 
 def build_mesh(positions: NDArray[np.float64], faces: NDArray[np.integer]) -> Mesh:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from formats.errors import QueryError, StorageError
+from formats.errors import QueryError, requires_pyvista
 from prt_bake.cli.shared.options import (
     USUAL_FOV,
     Exposure,
@@ -95,14 +95,15 @@ def view(
         if reading.done():
             reading.result()  # an unreadable file is reported before a window opens
         initial = size or DEFAULT_SIZE
-        canvas = window.Canvas(initial.width, initial.height, screenshot is not None, f"{asset.name} - prtbake")
-        if screenshot is None and not canvas.on_display:
+        off_screen = screenshot is not None
+        plotter = window.open_plotter(initial.width, initial.height, off_screen, f"{asset.name} - prtbake")
+        if not off_screen and not window.on_display(plotter):
             raise QueryError(f"view: {_WITHOUT_DISPLAY}")
-        canvas.open()
-        opened = _open(reading.result(), options, screenshot is not None)
+        plotter.show(auto_close=False, interactive=False)
+        opened = _open(reading.result(), options, off_screen)
     for remark in _remarks(opened.preview):
         say(f"{asset}: {remark}")
-    _show(window, canvas, opened, asset.name, screenshot, compare)
+    _show(window, plotter, opened, asset.name, screenshot, compare)
 
 
 class _Options(NamedTuple):
@@ -140,9 +141,9 @@ def _open(baked: "Asset", options: _Options, refined: bool) -> _Opened:
 
     light = options.light
     if light is None:
-        from importlib import resources
+        from prt_bake.preview.polydata import shipped_sky
 
-        light = [str(resources.files("prt_bake.shipped") / "sky.hdr")] if baked.quantity == "transfer" else []
+        light = [shipped_sky()] if baked.quantity == "transfer" else []
     axis = options.up or baked.up
     sources = [LightSource(text, axis, baked.degree, options.mend, say, baked.mesh) for text in light]
     preview = Preview(baked, sources, up=axis, rotation=options.rotate, exposure=options.exposure, suns=options.suns)
@@ -157,28 +158,22 @@ def _open(baked: "Asset", options: _Options, refined: bool) -> _Opened:
 
 
 def _load_window() -> Any:
-    try:
+    with requires_pyvista("view"):
         from prt_bake.preview import window
-    except ModuleNotFoundError as cause:
-        if (cause.name or "").partition(".")[0] not in ("vtk", "vtkmodules"):
-            raise
-        raise StorageError(
-            "view: the window needs VTK, which is not installed; pip install 'prt-bake[preview]'"
-        ) from cause
     return window
 
 
-def _show(window: Any, canvas: Any, opened: _Opened, name: str, screenshot: Path | None, compare: Path | None) -> None:
+def _show(window: Any, plotter: Any, opened: _Opened, name: str, screenshot: Path | None, compare: Path | None) -> None:
     preview, start, reference = opened
-    canvas.resize(start.width, start.height)
-    scene_view = window.View(preview, canvas, start, reference)
+    plotter.window_size = [start.width, start.height]
+    scene_view = window.View(preview, plotter, start, reference)
     if screenshot is not None:
         scene_view.refine()
         window.write_picture(screenshot, scene_view.picture())
         print(f"{screenshot}: {start.width}x{start.height} pixels")
     else:
         window.Window(scene_view, name, None if compare is None else compare.name).run()
-    canvas.close()
+    plotter.close()
 
 
 def _remarks(preview: "Preview") -> list[str]:

@@ -36,7 +36,7 @@ def test_help_lists_every_command_and_loads_no_slow_library() -> None:
         "h5py",
         "scipy",
         "trimesh",
-        "vtkmodules",
+        "pyvista",
         "pydantic",
         "embreex",
         "OpenEXR",
