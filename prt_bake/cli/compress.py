@@ -6,8 +6,9 @@ from typing import Annotated
 import typer
 
 from formats.atomic import existing
-from prt_bake.cli.shared.options import optional_output
-from prt_bake.cli.shared.outputs import check_outputs
+from prt_bake.cli.shared.kinds import refuse_other_kinds
+from prt_bake.cli.shared.options import Force, optional_output
+from prt_bake.cli.shared.outputs import check_outputs, refuse_existing
 from prt_bake.cli.shared.progress import reporting, say
 
 
@@ -24,6 +25,7 @@ def compress(
         ),
     ] = None,
     lobes: Annotated[bool, typer.Option(help="Keep the lobes, rounded within twice --error.")] = True,
+    force: Force = False,
 ) -> None:
     """Compress an asset within an error.
 
@@ -32,6 +34,8 @@ def compress(
     """
     target = out or asset.with_name(f"{asset.stem}.compact{asset.suffix}")
     check_outputs({"--output": target}, {"ASSET": existing(asset)})
+    refuse_existing([target], force)
+    refuse_other_kinds({"ASSET": (asset, ("asset",))})
     from prt_bake.baking.compress import compress_file
 
     with reporting("compress") as show:

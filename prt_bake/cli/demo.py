@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from formats.errors import PrtbakeError
+from formats.extras import EVALUATE, require
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import bake_progress, reporting, stopping
 
@@ -24,6 +25,7 @@ def demo(
 
     The error is that of the picture, compared with a path-traced reference.
     """
+    require("demo", *EVALUATE)
     from prt_bake.shipped import demonstration as shipped
 
     inputs = (shipped.MODEL, shipped.MESH, shipped.SKY, shipped.REFERENCE, shipped.REFERENCE_REPORT)

@@ -6,9 +6,10 @@ from typing import Annotated
 import typer
 
 from formats.atomic import existing
+from prt_bake.cli.shared.kinds import refuse_other_kinds
 from prt_bake.cli.shared.lobes import lobes_sentence
-from prt_bake.cli.shared.options import Device, optional_output
-from prt_bake.cli.shared.outputs import check_outputs
+from prt_bake.cli.shared.options import Device, Force, optional_output
+from prt_bake.cli.shared.outputs import check_outputs, refuse_existing
 from prt_bake.cli.shared.progress import reporting
 
 
@@ -30,6 +31,7 @@ def lobes(
         typer.Option(help="The 7 inputs of a TorchScript MODEL, as for `prtbake bake`.", show_default=False),
     ] = None,
     device: Device = "cpu",
+    force: Force = False,
 ) -> None:
     """Add lobes to an asset: narrow light that its harmonics leave out.
 
@@ -38,6 +40,8 @@ def lobes(
     """
     target = out or asset.with_name(f"{asset.stem}.lobes{asset.suffix}")
     check_outputs({"--output": target}, {"MODEL": existing(source), "ASSET": existing(asset)})
+    refuse_existing([target], force)
+    refuse_other_kinds({"MODEL": (source, ("model",)), "ASSET": (asset, ("asset",))})
     from formats.asset import read_asset
     from formats.asset.lobes import add_lobes_to_file
     from prt_bake.baking.lobes.addition import add_lobes

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from formats.errors import PrtbakeError
+from prt_bake.cli.shared.kinds import LIGHT, SOURCE, refuse_other_kinds
 from prt_bake.cli.shared.mesh_name import naming_mesh
 from prt_bake.cli.shared.options import (
     IMAGE_SUFFIXES,
@@ -142,6 +143,7 @@ def render(
     outputs = {"--output": output, "--preview": preview, "--report": report, "the checkpoint": checkpoint}
     inputs: dict[str, Paths] = {"SOURCE": source, "the importance module": importance_path(source)}
     check_outputs(outputs, inputs | {"MESH": mesh, "--light": light})
+    refuse_other_kinds({"SOURCE": (source, SOURCE), "MESH": (mesh, ("mesh",)), "--light": (light, LIGHT)})
     from formats.mesh import read_mesh
     from prt_bake.cli.shared.viewing import camera_for
     from prt_bake.lights.lighting import read_lighting

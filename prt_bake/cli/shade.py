@@ -6,6 +6,8 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from formats.extras import require
+from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.options import (
     ANIMATION_SUFFIXES,
     IMAGE_SUFFIXES,
@@ -106,6 +108,9 @@ def shade(
         {"--output": _files(output, frames), "--error-picture": error_picture},
         {"ASSET": asset, "--light": light, "--roughness": roughness},
     )
+    refuse_other_kinds({"ASSET": (asset, ("asset",)), "--light": (light, LIGHT)})
+    if error_picture is not None:
+        require("--error-picture", "matplotlib")
     from formats.asset import read_asset
     from prt_bake.cli.shared.viewing import camera_for
     from prt_bake.lights.lighting import read_lighting

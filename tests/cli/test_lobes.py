@@ -56,8 +56,8 @@ def test_a_path_traced_bake_takes_the_lobes_of_a_network(prtbake: Run, tmp_path:
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["scene.toml", "asset.h5"], "expected one that evaluates Ŝ"),
-        (["model.pt", "sphere.ply"], "is not an asset"),
+        (["scene.toml", "asset.h5"], "expected a model (MODEL), found a scene; train one on it first"),
+        (["model.pt", "sphere.ply"], "expected an asset (ASSET), found a mesh"),
         (["model.pt", "asset.h5", "-o", "asset.h5"], "is also the input given as ASSET"),
     ],
 )
@@ -111,7 +111,7 @@ def test_compression_rounds_lobes_within_twice_its_error(prtbake: Run, tmp_path:
     bins = baked.coefficients.shape[1]
     squares = np.square(baked.coefficients[baked.valid], dtype=np.float64).sum() * baked.lobes.axes.shape[1] / bins
     for error in (0.02, 0.2):
-        outcome = prtbake("compress", tmp_path / "asset.h5", "--error", error, "-o", tmp_path / "a.h5")
+        outcome = prtbake("compress", tmp_path / "asset.h5", "--error", error, "-o", tmp_path / "a.h5", "--force")
         assert outcome.code == 0, outcome.err
         compact = read_asset(tmp_path / "a.h5")
         assert compact.lobes is not None
