@@ -14,6 +14,7 @@ from formats.errors import PrtbakeError
 from prt_bake.cli.shared.kinds import SOURCE, refuse_other_kinds
 from prt_bake.cli.shared.lobes import lobes_sentence
 from prt_bake.cli.shared.mesh_name import naming_mesh
+from prt_bake.cli.shared.next_step import say_next_of_asset
 from prt_bake.cli.shared.options import Force, OnlyEye, ReportFile, Seed, output_option, within
 from prt_bake.cli.shared.outputs import check_outputs, refuse_existing
 from prt_bake.cli.shared.plan import plan_lines
@@ -192,6 +193,7 @@ def bake(
             f"{written}: the bake was stopped before it was finished; the asset is complete, but coarser or without "
             f"lobes; the same command with --resume continues from {journal_folder(output).name} beside it"
         )
+    say_next_of_asset(written)
 
 
 def _refuse_existing(output: Path, force: bool, resume: bool) -> None:

@@ -8,6 +8,7 @@ import typer
 
 from formats.errors import PrtbakeError
 from formats.extras import EVALUATE, require
+from prt_bake.cli.shared.next_step import say_next_of_asset
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import bake_progress, reporting, stopping
 
@@ -50,3 +51,4 @@ def demo(
     print(f"noise of the reference: MSE {result.noise_mse:.3g} on the object")
     if not result.asset.complete:
         raise PrtbakeError(f"{out}: the bake was stopped; vertices not yet baked are black in the pictures")
+    say_next_of_asset(out / "spot.h5")

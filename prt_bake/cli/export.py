@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from prt_bake.cli.shared.kinds import refuse_other_kinds
+from prt_bake.cli.shared.next_step import say_next
 from prt_bake.cli.shared.outputs import check_outputs
 
 
@@ -26,4 +27,6 @@ def export(
 
     read = read_scene(scene)
     check_outputs({"--output": exported_files(read, output)}, {"SCENE": scene}, folder=output)
-    print(f"wrote {write_mitsuba_scene(read, output)}")
+    written = write_mitsuba_scene(read, output)
+    print(f"wrote {written}")
+    say_next("mitsuba", written)

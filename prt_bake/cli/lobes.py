@@ -8,6 +8,7 @@ import typer
 from formats.atomic import existing
 from prt_bake.cli.shared.kinds import refuse_other_kinds
 from prt_bake.cli.shared.lobes import lobes_sentence
+from prt_bake.cli.shared.next_step import say_next_of_asset
 from prt_bake.cli.shared.options import Device, Force, optional_output
 from prt_bake.cli.shared.outputs import check_outputs, refuse_existing
 from prt_bake.cli.shared.progress import reporting
@@ -57,3 +58,4 @@ def lobes(
     add_lobes_to_file(asset, target, found.lobes, {"lobes": entry})
     before = "" if baked.lobes is None else f"; they replace the {baked.lobes.count} that the asset had"
     print(f"{target}: {lobes_sentence(entry)}{before}")
+    say_next_of_asset(target)

@@ -150,7 +150,7 @@ def shade(
     print(
         f"{output}: {picture.shaded} vertices in {picture.seconds:.2f} s, clamped negative radiance "
         f"{abs(picture.clamped):.3%} of the energy, projection error {error}"
-        + _light_figures(baked, picture.suns, suns)
+        + _light_figures(baked, picture.suns, suns, bool(lighting.skies))
     )
 
 
@@ -163,14 +163,14 @@ def _files(output: Path, frames: int) -> list[Path]:
     return [numbered(output, number) for number in range(frames)]
 
 
-def _light_figures(baked: Any, count: int, treatment: str) -> str:
+def _light_figures(baked: Any, count: int, treatment: str, beside_a_sky: bool) -> str:
     lobes = ""
     if baked.lobes is not None:
         lobes = ", lobes shown" if treatment == "split" else f", no lobes with --suns {treatment}"
     if not count:
         return lobes
-    action = "split off" if treatment == "split" else "damped by a window"
-    return f", {count} {'sun' if count == 1 else 'suns'} {action}{lobes}"
+    action = " damped by a window" if treatment == "window" else " split off" if beside_a_sky else ""
+    return f", {count} {'sun' if count == 1 else 'suns'}{action}{lobes}"
 
 
 def _write_picture(output: Path, baked: Any, lighting: Any, view: Any, options: dict[str, Any], exposure: float) -> Any:

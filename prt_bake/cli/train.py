@@ -8,6 +8,7 @@ import typer
 from formats.errors import PrtbakeError
 from formats.extras import EVALUATE, missing_sentence
 from prt_bake.cli.shared.kinds import refuse_other_kinds
+from prt_bake.cli.shared.next_step import say_next
 from prt_bake.cli.shared.options import Force, Seed, output_option
 from prt_bake.cli.shared.outputs import Paths, check_outputs, refuse_existing
 from prt_bake.cli.shared.progress import reporting, say, stopping
@@ -110,6 +111,7 @@ def train(
         after_training.report(network, read, output, seed)
     if with_importance:
         after_training.importance(network, read, output, seed)
+    say_next("prtbake", "bake", output, read.mesh_path, "-o", output.with_suffix(".h5"))
 
 
 def _progress_text(row: "TrainingProgress") -> str:

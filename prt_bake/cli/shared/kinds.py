@@ -24,8 +24,8 @@ _NAMES = {
     "samples": "training samples",
 }
 _REMEDIES = {
-    ("asset", "model"): "bake it first: prtbake bake {file} MESH -o {stem}.h5",
-    ("asset", "scene"): "train a model on it first: prtbake train {file} -o {stem}.pt",
+    ("asset", "model"): "bake it first: prtbake bake {file} MESH -o {h5}",
+    ("asset", "scene"): "train a model on it first: prtbake train {file} -o {pt}",
     ("asset", "mesh"): "begin with a scene of it: prtbake init {file} --material NAME",
     ("source", "asset"): "it is baked already; show it: prtbake view {file}",
     (
@@ -33,13 +33,13 @@ _REMEDIES = {
         "mesh",
     ): "the mesh comes second; without a scene begin with: prtbake init {file} --material NAME",
     ("scene", "mesh"): "begin with a scene of it: prtbake init {file} --material NAME",
-    ("scene", "model"): "it is trained already; bake it: prtbake bake {file} MESH -o {stem}.h5",
+    ("scene", "model"): "it is trained already; bake it: prtbake bake {file} MESH -o {h5}",
     ("scene", "asset"): "it is baked already; show it: prtbake view {file}",
-    ("model", "scene"): "train one on it first: prtbake train {file} -o {stem}.pt",
+    ("model", "scene"): "train one on it first: prtbake train {file} -o {pt}",
     ("mesh", "scene"): "give the mesh that the scene names",
     ("mesh", "model"): "the model comes first, then the mesh",
     ("mesh", "asset"): "give the mesh that it was baked on",
-    ("sky", "asset"): "make a picture of it first: prtbake shade {file} --light SKY -o {stem}.exr",
+    ("sky", "asset"): "make a picture of it first: prtbake shade {file} --light SKY -o {exr}",
     ("light", "mesh"): "only pictures, lights files and lights such as sun:0,1,0 can be lights",
     ("light", "scene"): "its lights must be in a file of their own",
     ("light", "asset"): "the asset comes before --light",
@@ -80,7 +80,8 @@ def _role(kinds: tuple[str, ...]) -> str:
 
 def _remedy(role: str, found: str, path: Path) -> str:
     text = _REMEDIES.get((role, found)) or _OF_THE_FOUND.get(found) or "give a file of that kind"
-    return text.format(file=shlex.quote(str(path)), stem=shlex.quote(path.stem))
+    named = {suffix: shlex.quote(f"{path.stem}.{suffix}") for suffix in ("h5", "pt", "exr")}
+    return text.format(file=shlex.quote(str(path)), **named)
 
 
 def _paths(paths: Path | str | Iterable[Path | str] | None) -> Iterator[Path]:
