@@ -77,14 +77,16 @@ def test_verbose_names_versions_and_the_origin_of_messages(
     prtbake: Run, monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:
     monkeypatch.setattr("prt_bake.inspection.files.describe", lambda path: warn(f"{path}: a remark") or {"kind": "x"})
+    monkeypatch.setattr("prt_bake.jit.notice.compiled", [("a", 1.0), ("b", 0.5)])
     words = ("-v", "info", "scene.toml") if place == "before" else ("info", "scene.toml", "--verbose")
     plain, verbose = prtbake("info", "scene.toml"), prtbake(*words)
     assert (verbose.code, verbose.out) == (0, plain.out)
     assert plain.err == "prtbake: warning: scene.toml: a remark\n"
-    first, *_, origin, last = verbose.err.splitlines()
+    first, *_, origin, compilation, last = verbose.err.splitlines()
     assert first.startswith(f"prtbake: prtbake {prt.__version__}, Python 3.")
     assert "numpy " in first
     assert Path(__file__).name in origin
+    assert compilation == "prtbake: compiled 2 kernels in 1.5 s"
     assert last.endswith(" s in all")
 
 
