@@ -5,8 +5,6 @@ Each message is one sentence: file, place, expected, found, remedy.
 
 import os
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 
 class InputWarning(UserWarning):
@@ -75,26 +73,6 @@ def refuse_path(name: str, value: object, reader: str) -> None:
         raise QueryError(
             f"{name}: expected what {reader}(path) returns, found the path {os.fspath(value)}; read the file first"
         )
-
-
-@contextmanager
-def requires_matplotlib(task: str) -> Iterator[None]:
-    """Context of imports from matplotlib. Raises PrtbakeError, which begins with the task, if it is not installed."""
-    try:
-        yield
-    except ImportError:
-        raise PrtbakeError(f"{task}: matplotlib is not installed; install prt-bake[evaluate]") from None
-
-
-@contextmanager
-def requires_pyvista(task: str) -> Iterator[None]:
-    """Context of imports from PyVista. Raises PrtbakeError, which begins with the task, if it is not installed."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] not in ("pyvista", "vtkmodules"):
-            raise
-        raise PrtbakeError(f"{task}: PyVista is not installed; pip install pyvista") from None
 
 
 def warn(sentence: str) -> None:

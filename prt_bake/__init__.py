@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from prt_bake.shading.frames.frames import Frames
     from prt_bake.shading.picture import render_picture, shade
     from prt_bake.shading.sun_shading import suns_apart
+    from prt_bake.shipped.examples import example
     from prt_bake.tracer.estimate import estimate_coefficients, estimate_transport
     from prt_bake.trainer.train import train
 
@@ -55,6 +56,7 @@ __all__ = [
     "compress",
     "estimate_coefficients",
     "estimate_transport",
+    "example",
     "fit_camera",
     "light_for",
     "load_model",
@@ -99,6 +101,7 @@ _ORIGIN = {
     "compress": ("prt_bake.baking.compress", "compress"),
     "estimate_coefficients": ("prt_bake.tracer.estimate", "estimate_coefficients"),
     "estimate_transport": ("prt_bake.tracer.estimate", "estimate_transport"),
+    "example": ("prt_bake.shipped.examples", "example"),
     "fit_camera": ("prt_bake.geometry.camera", "fit"),
     "light_for": ("prt_bake.shading.asset_light", "light_for"),
     "load_model": ("prt_bake.network.bssrdf", "load_model"),
@@ -130,6 +133,10 @@ _ORIGIN = {
 
 def __getattr__(name: str) -> object:
     """Import a public name on first use and store it, so that later look-ups are ordinary ones."""
+    if name == "__version__":
+        from formats.version import program_version
+
+        return program_version()
     if name not in _ORIGIN:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module_name, attribute = _ORIGIN[name]

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.errors import requires_pyvista
+from formats.extras import requires_pyvista
 
 
 def polydata(positions: NDArray[np.float64], faces: NDArray[np.integer], normals: NDArray[np.float64]) -> Any:

@@ -11,10 +11,12 @@ from typing import Annotated, Any, Literal
 import typer
 
 from formats.errors import PrtbakeError
+from prt_bake.cli.shared.kinds import SOURCE, refuse_other_kinds
 from prt_bake.cli.shared.lobes import lobes_sentence
 from prt_bake.cli.shared.mesh_name import naming_mesh
-from prt_bake.cli.shared.options import OnlyEye, ReportFile, Seed, output_option, within
-from prt_bake.cli.shared.outputs import check_outputs
+from prt_bake.cli.shared.next_step import say_next_of_asset
+from prt_bake.cli.shared.options import Force, OnlyEye, ReportFile, Seed, output_option, within
+from prt_bake.cli.shared.outputs import check_outputs, refuse_existing
 from prt_bake.cli.shared.plan import plan_lines
 from prt_bake.cli.shared.progress import bake_progress, reporting, say, stopping
 
@@ -110,6 +112,7 @@ def bake(
         bool,
         typer.Option("--resume", help="Resume the same bake, stopped or killed, from the checkpoint beside the asset."),
     ] = False,
+    force: Force = False,
     report: ReportFile = None,
 ) -> None:
     """Bake a model or a scene on a mesh into an asset.
@@ -121,6 +124,9 @@ def bake(
         raise typer.BadParameter("Missing option '--output' / '-o'; only --dry-run works without it.")
     inputs = {"SOURCE": source, "MESH": mesh, "--for-light": for_light}
     check_outputs({"--output": output, "--report": report}, inputs)
+    if output is not None and not dry_run:
+        _refuse_existing(output, force, resume)
+    refuse_other_kinds({"SOURCE": (source, SOURCE), "MESH": (mesh, ("mesh",)), "--for-light": (for_light, ("sky",))})
     from bakers.transport import transport_property
     from formats.journal import journal_folder
     from formats.json_report import write_report
@@ -198,6 +204,16 @@ def bake(
             f"{written}: the bake was stopped before it was finished; the asset is complete, but coarser or without "
             f"lobes; the same command with --resume continues from {journal_folder(output).name} beside it"
         )
+    say_next_of_asset(written)
+
+
+def _refuse_existing(output: Path, force: bool, resume: bool) -> None:
+    """Refuse to replace an asset, or the finished blocks of a bake that was stopped or killed."""
+    from formats.journal import journal_folder
+
+    journal = journal_folder(output)
+    unfinished = any(journal.glob("*.npz"))
+    refuse_existing([output, *([journal] if unfinished else [])], force, resume if unfinished else None)
 
 
 def _prunable_except(kept: list[str], items: tuple[str, ...]) -> list[str]:

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from formats.errors import PrtbakeError
+from prt_bake.cli.shared.kinds import LIGHT, SOURCE, refuse_other_kinds
 from prt_bake.cli.shared.mesh_name import naming_mesh
+from prt_bake.cli.shared.next_step import say_next
 from prt_bake.cli.shared.options import (
     FLAT_SHADED,
     IMAGE_SUFFIXES,
@@ -147,6 +149,7 @@ def render(
     outputs = {"--output": output, "--preview": preview, "--report": report, "the checkpoint": checkpoint}
     inputs: dict[str, Paths] = {"SOURCE": source, "the importance module": importance_path(source)}
     check_outputs(outputs, inputs | {"MESH": mesh, "--light": light})
+    refuse_other_kinds({"SOURCE": (source, SOURCE), "MESH": (mesh, ("mesh",)), "--light": (light, LIGHT)})
     from formats.mesh import read_mesh
     from prt_bake.cli.shared.viewing import camera_for
     from prt_bake.lights.lighting import read_lighting
@@ -217,6 +220,7 @@ def render(
         )
     if not picture.complete:
         say(f"{output}: the time limit ended after {picture.spp} {_unit(is_scene)} per pixel; --resume continues")
+    say_next("prtbake", "compare", *(("IMAGE", output) if is_scene else (output, "REFERENCE")))
 
 
 def _refuse_network_options(sampling: str | None, device: str, precision: str, workers: int | None) -> None:

@@ -6,6 +6,8 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from formats.extras import require
+from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.options import (
     ANIMATION_SUFFIXES,
     FLAT_SHADED,
@@ -111,6 +113,9 @@ def shade(
         {"--output": _files(output, frames), "--error-picture": error_picture},
         {"ASSET": asset, "--light": light, "--roughness": roughness},
     )
+    refuse_other_kinds({"ASSET": (asset, ("asset",)), "--light": (light, LIGHT)})
+    if error_picture is not None:
+        require("--error-picture", "matplotlib")
     from formats.asset import read_asset
     from prt_bake.cli.shared.viewing import camera_for
     from prt_bake.lights.lighting import read_lighting
@@ -153,7 +158,7 @@ def shade(
     print(
         f"{output}: {picture.shaded} vertices in {picture.seconds:.2f} s, clamped negative radiance "
         f"{abs(picture.clamped):.3%} of the energy, projection error {error}"
-        + _light_figures(baked, picture.suns, suns)
+        + _light_figures(baked, picture.suns, suns, bool(lighting.skies))
     )
 
 
@@ -166,14 +171,14 @@ def _files(output: Path, frames: int) -> list[Path]:
     return [numbered(output, number) for number in range(frames)]
 
 
-def _light_figures(baked: Any, count: int, treatment: str) -> str:
+def _light_figures(baked: Any, count: int, treatment: str, beside_a_sky: bool) -> str:
     lobes = ""
     if baked.lobes is not None:
         lobes = ", lobes shown" if treatment == "split" else f", no lobes with --suns {treatment}"
     if not count:
         return lobes
-    action = "split off" if treatment == "split" else "damped by a window"
-    return f", {count} {'sun' if count == 1 else 'suns'} {action}{lobes}"
+    action = " damped by a window" if treatment == "window" else " split off" if beside_a_sky else ""
+    return f", {count} {'sun' if count == 1 else 'suns'}{action}{lobes}"
 
 
 def _write_picture(output: Path, baked: Any, lighting: Any, view: Any, options: dict[str, Any], exposure: float) -> Any:

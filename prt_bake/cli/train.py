@@ -6,8 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from formats.errors import PrtbakeError
-from prt_bake.cli.shared.options import Seed, output_option
-from prt_bake.cli.shared.outputs import Paths, check_outputs
+from formats.extras import EVALUATE, missing_sentence
+from prt_bake.cli.shared.kinds import refuse_other_kinds
+from prt_bake.cli.shared.next_step import say_next
+from prt_bake.cli.shared.options import Force, Seed, output_option
+from prt_bake.cli.shared.outputs import Paths, check_outputs, refuse_existing
 from prt_bake.cli.shared.progress import reporting, say, stopping
 from prt_bake.network.file_names import importance_path, report_paths, state_path
 
@@ -41,6 +44,7 @@ def train(
         typer.Option("--synchronous", help="Render and learn in turns: with --steps, bit-reproducible."),
     ] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Resume from MODEL.train.pt beside the output.")] = False,
+    force: Force = False,
     with_report: Annotated[
         bool, typer.Option("--report/--no-report", help="Then measure the model: MODEL.report.json and .html.")
     ] = True,
@@ -63,6 +67,11 @@ def train(
     outputs |= {"--report": report_paths(output)} if with_report else {}
     outputs |= {"--importance": importance_path(output)} if with_importance else {}
     check_outputs(outputs, {"SCENE": scene, "--samples": samples})
+    refuse_existing((output, state_path(output), importance_path(output)), force, resume)
+    refuse_other_kinds({"SCENE": (scene, ("scene",)), "--samples": (samples, ("samples",))})
+    if with_report and (missing := missing_sentence(*EVALUATE)):
+        say(f"there will be no report: {missing}; `prtbake report training` writes it later")
+        with_report = False
     from dataclasses import replace
 
     from formats.scene import read_scene
@@ -102,6 +111,7 @@ def train(
         after_training.report(network, read, output, seed)
     if with_importance:
         after_training.importance(network, read, output, seed)
+    say_next("prtbake", "bake", output, read.mesh_path, "-o", output.with_suffix(".h5"))
 
 
 def _progress_text(row: "TrainingProgress") -> str:

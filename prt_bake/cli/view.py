@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from formats.errors import QueryError, requires_pyvista
+from formats.errors import QueryError
+from formats.extras import requires_pyvista
+from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.options import (
     USUAL_FOV,
     Exposure,
@@ -84,6 +86,7 @@ def view(
     if screenshot is None and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         raise QueryError(f"view: {_WITHOUT_DISPLAY}")
     check_outputs({"--screenshot": screenshot}, {"ASSET": asset, "--light": light, "--compare": compare})
+    refuse_other_kinds({"ASSET": (asset, ("asset",)), "--light": (light, LIGHT), "--compare": (compare, ("sky",))})
     options = _Options(light, up, rotate, exposure, mend, suns, compare, size, side, eye, look_at, fov)
     from formats.asset import read_asset
 

@@ -7,7 +7,8 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from formats.asset import Asset
-from formats.errors import QueryError, requires_pyvista, warn
+from formats.errors import QueryError, warn
+from formats.extras import requires_pyvista
 from prt_bake.geometry import camera
 from prt_bake.lights.lighting import Lighting
 from prt_bake.preview.lights import LightSource

@@ -206,7 +206,7 @@ def test_the_report_states_whether_the_error_was_reached(prtbake: Run, tmp_path:
     options = ["--rings", 1, "--sectors", 2, "--report", tmp_path / "r.json"]
     for error, minutes, reached in ((0.5, [], True), (1e-5, ["--minutes", 0.05], False)):
         outcome = prtbake(
-            "bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", "--error", error, *minutes, *options
+            "bake", "model.pt", "sphere.ply", "-o", tmp_path / f"{reached}.h5", "--error", error, *minutes, *options
         )
         assert outcome.code == 0, outcome.err
         assert json.loads((tmp_path / "r.json").read_text())["error_reached"] is reached

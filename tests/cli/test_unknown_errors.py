@@ -15,6 +15,7 @@ def test_a_reference_that_is_only_noise_gives_no_error(prtbake: Run, folder: Pat
     options = ["--steps", 2, "--synchronous", "--no-report", "--no-importance"]
     trained = prtbake("train", "dim.toml", "-o", model, *options)
     assert trained.code == 0, trained.err
+    assert trained.err.endswith(f"next: prtbake bake {model} sphere.ply -o {tmp_path / 'm.h5'}\n")
     assert "of the coefficients unknown (without the reference's noise, " in trained.out
     assert load_model(model).metadata["training"]["relative_rmse"]["coefficients"] is None
     few = ["--rings", 1, "--sectors", 1, "--samples", 16]

@@ -5,6 +5,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from formats.extras import EVALUATE, require
+from prt_bake.cli.shared.kinds import SOURCE, refuse_other_kinds
 from prt_bake.cli.shared.mesh_name import naming_mesh
 from prt_bake.cli.shared.options import Eye, Seed, View
 from prt_bake.cli.shared.outputs import check_outputs
@@ -52,6 +54,8 @@ def bake(
 
     inputs = {"SOURCE": source, "MESH": mesh, "--scene": scene, "--light": light}
     check_outputs({"--out": report_files(out)}, inputs, folder=out)
+    require("report bake", *EVALUATE)
+    refuse_other_kinds({"SOURCE": (source, SOURCE), "MESH": (mesh, ("mesh",)), "--scene": (scene, ("scene",))})
     from formats.mesh import read_mesh
     from formats.scene import read_scene
     from prt_bake.baking.sources import open_source

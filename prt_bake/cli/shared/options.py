@@ -198,6 +198,7 @@ Lights = Annotated[
         "radiance). Can be repeated.",
     ),
 ]
+Force = Annotated[bool, typer.Option("--force", help="Replace files that exist.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Device = Annotated[Literal["cpu", "cuda"], typer.Option(help="Device that runs the network.")]
 ReportFile = Annotated[

@@ -9,6 +9,8 @@ from contextlib import contextmanager, nullcontext
 from types import FrameType
 from typing import TYPE_CHECKING, Protocol
 
+from prt_bake.cli.shared import signals
+
 if TYPE_CHECKING:
     from prt_bake.baking.job.forecast import BakeStatus
 
@@ -118,6 +120,7 @@ def stopping() -> Iterator[Callable[[], bool]]:
     def request(number: int, frame: FrameType | None) -> None:
         nonlocal requested
         requested = True
+        signals.record(number)
         signal.signal(number, signal.default_int_handler)
         say("stopping after the current step; press Ctrl-C again to stop at once")
 
