@@ -22,6 +22,7 @@ from prt_bake.cli.info import info
 from prt_bake.cli.init import init
 from prt_bake.cli.light import light
 from prt_bake.cli.lobes import lobes
+from prt_bake.cli.make import make
 from prt_bake.cli.materials import materials
 from prt_bake.cli.render import render
 from prt_bake.cli.reports.group import report
@@ -43,6 +44,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "demo": demo,
     "init": init,
     "materials": materials,
+    "make": make,
     "train": train,
     "sample": sample,
     "importance": importance,
