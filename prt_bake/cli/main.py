@@ -19,15 +19,15 @@ from prt_bake.cli.demo import demo
 from prt_bake.cli.export import export
 from prt_bake.cli.importance import importance
 from prt_bake.cli.info import info
-from prt_bake.cli.init import init
 from prt_bake.cli.light import light
 from prt_bake.cli.lobes import lobes
-from prt_bake.cli.make import make
-from prt_bake.cli.materials import materials
+from prt_bake.cli.making.make import make
 from prt_bake.cli.render import render
 from prt_bake.cli.reports.group import report
 from prt_bake.cli.sample import sample
 from prt_bake.cli.shade import shade
+from prt_bake.cli.start.init import init
+from prt_bake.cli.start.materials import materials
 from prt_bake.cli.train import train
 from prt_bake.cli.view import view
 

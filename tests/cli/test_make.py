@@ -13,8 +13,8 @@ import typer
 from formats.errors import PrtbakeError
 from formats.mesh import build_mesh, flipped, read_mesh, write_mesh
 from prt_bake.cli.main import main as prtbake
-from prt_bake.cli.make import make
 from prt_bake.cli.making import steps
+from prt_bake.cli.making.make import make
 
 SECONDS = {"train": 840.0, "bake": 200.0, "picture": 4.0, "turntable": 20.0}
 
@@ -122,7 +122,7 @@ def test_the_steps_share_the_time(kitchen, capsys):
     assert "![picture.png](picture.png)" in page
     captured = capsys.readouterr()
     assert captured.out.startswith("out/summary.md: error of the coefficients ")
-    assert captured.err.endswith("prtbake: next: prtbake view out/asset.h5\n")
+    assert captured.err.endswith("next: prtbake view out/asset.h5\n")
 
 
 def test_finished_steps_are_not_done_again(kitchen, capsys):

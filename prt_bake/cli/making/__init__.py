@@ -1,4 +1,4 @@
-"""The steps of `prtbake make`: each runs a command, within one time, and is recorded so that it is not done again.
+"""`prtbake make`: its steps run other commands, within one time, and are recorded so that they are not done again.
 
-Start at `steps.py`.
+May import: every room but the other commands, and `start`. Start at `make.py`.
 """

@@ -2,6 +2,7 @@
 
 import os
 import shlex
+import sys
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from formats.errors import MeshError
-from prt_bake.cli.init import MaterialName, ObjectSize, write_scene
 from prt_bake.cli.shared.options import within
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
+from prt_bake.cli.start.init import MaterialName, ObjectSize, write_scene
 
 if TYPE_CHECKING:
     from formats.scene import Scene
@@ -66,7 +67,7 @@ def make(
     record.write()
     write_page(record)
     print(f"{folder / PAGE}: error of the coefficients {record.figures['error of the coefficients']}")
-    say(f"next: {shlex.join(['prtbake', 'view', str(folder / ASSET)])}")
+    print(f"next: {shlex.join(['prtbake', 'view', str(folder / ASSET)])}", file=sys.stderr)
 
 
 def _scene_file(scene: Path, folder: Path, material: str | None, size: str | None, force: bool) -> Path:
