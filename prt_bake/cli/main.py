@@ -20,10 +20,9 @@ from prt_bake.cli.demo import demo
 from prt_bake.cli.export import export
 from prt_bake.cli.importance import importance
 from prt_bake.cli.info import info
-from prt_bake.cli.init import init
 from prt_bake.cli.light import light
 from prt_bake.cli.lobes import lobes
-from prt_bake.cli.materials import materials
+from prt_bake.cli.making.make import make
 from prt_bake.cli.render import render
 from prt_bake.cli.reports.group import report
 from prt_bake.cli.sample import sample
@@ -33,6 +32,8 @@ from prt_bake.cli.shared.help import Groups
 from prt_bake.cli.shared.progress import say
 from prt_bake.cli.shared.verbose import detail, error_detail, verbosely
 from prt_bake.cli.start.example import example
+from prt_bake.cli.start.init import init
+from prt_bake.cli.start.materials import materials
 from prt_bake.cli.train import train
 from prt_bake.cli.view import view
 from prt_bake.jit import notice
@@ -50,7 +51,7 @@ app = typer.Typer(
 )
 COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
     "Main commands": {"init": init, "train": train, "bake": bake, "shade": shade, "view": view},
-    "In one step": {"demo": demo, "example": example},
+    "In one step": {"make": make, "demo": demo, "example": example},
     "Make assets": {"sample": sample, "importance": importance, "lobes": lobes, "compress": compress},
     "Pictures and light": {"render": render, "light": light},
     "Measure": {"compare": compare},

@@ -53,7 +53,7 @@ def test_a_scene_has_the_size_and_the_material(init, tmp_path):
     assert (scene.eta, scene.roughness, scene.normals, scene.up) == (1.6, 0.15, "vertex", "y")
     assert out == ("green stone.toml: ball.obj in jade, 140 mm long, 44.7, 62.2, 44.7 transport mean free paths\n")
     assert "jade is an estimate: chosen for" in err
-    assert err.endswith("prtbake: next: prtbake make 'green stone.toml' -o 'green stone'\n")
+    assert err.endswith("next: prtbake make 'green stone.toml' -o 'green stone'\n")
     assert not find_faults(tmp_path / "green stone.toml")
 
 

@@ -1,6 +1,7 @@
 """`prtbake init`: writes a scene file for a mesh and a material."""
 
 import shlex
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -51,7 +52,7 @@ def init(
     """
     path = output or Path(f"{mesh.stem}.toml")
     write_scene(mesh, material, size, path, up, force)
-    say(f"next: {shlex.join(['prtbake', 'make', str(path), '-o', path.stem])}")
+    print(f"next: {shlex.join(['prtbake', 'make', str(path), '-o', path.stem])}", file=sys.stderr)
 
 
 def write_scene(
@@ -68,7 +69,7 @@ def write_scene(
         raise StorageError(f"{path}: already exists; add --force to replace it, or choose another name with -o")
     from formats.atomic import replacing
     from formats.mesh import read_mesh
-    from prt_bake.cli.shared.scene_draft import SceneDraft
+    from prt_bake.cli.start.scene_draft import SceneDraft
     from prt_bake.inspection import translucency
     from prt_bake.inspection.mesh import find_faults
 
