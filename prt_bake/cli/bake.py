@@ -164,7 +164,7 @@ def bake(
             minutes=minutes,
             out=output,
             scheduler=scheduler,
-            progress=bake_progress(show),
+            progress=bake_progress(show, effort.error),
             stop=stop,
             resume=resume,
             **shared,
