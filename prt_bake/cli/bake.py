@@ -27,7 +27,10 @@ OTHER_EFFORTS = "; --error, --minutes or --samples choose another"
 def bake(
     context: typer.Context,
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="model.pt (neural) or scene.toml (path traced).")],
-    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="Mesh whose vertices are baked.")],
+    mesh: Annotated[
+        Path | None,
+        typer.Argument(metavar="MESH", help="Mesh whose vertices are baked; by default that of the source's scene."),
+    ] = None,
     output: Annotated[Path | None, output_option("ASSET.h5", ".h5", ".hdf5")] = None,
     rings: Annotated[int, typer.Option(min=1, max=1024, help="View bins along the cosine to the normal.")] = 16,
     sectors: Annotated[int, typer.Option(min=1, max=1024, help="View bins around the normal.")] = 64,
@@ -122,10 +125,6 @@ def bake(
     """
     if output is None and not dry_run:
         raise typer.BadParameter("Missing option '--output' / '-o'; only --dry-run works without it.")
-    inputs = {"SOURCE": source, "MESH": mesh, "--for-light": for_light}
-    check_outputs({"--output": output, "--report": report}, inputs)
-    if output is not None and not dry_run:
-        _refuse_existing(output, force, resume)
     refuse_other_kinds({"SOURCE": (source, SOURCE), "MESH": (mesh, ("mesh",)), "--for-light": (for_light, ("sky",))})
     from bakers.transport import transport_property
     from formats.journal import journal_folder
@@ -133,8 +132,15 @@ def bake(
     from formats.mesh import read_mesh
     from prt_bake.baking import bake as baking
     from prt_bake.baking.report.summary import bake_report
-    from prt_bake.baking.sources import open_source, origin
+    from prt_bake.baking.sources import open_source, origin, own_mesh
 
+    if mesh is None:
+        mesh = own_mesh(source, convention)
+        say(f"bakes on the mesh {mesh}")
+    inputs = {"SOURCE": source, "MESH": mesh, "--for-light": for_light}
+    check_outputs({"--output": output, "--report": report}, inputs)
+    if output is not None and not dry_run:
+        _refuse_existing(output, force, resume)
     surface = read_mesh(mesh)
     transport = open_source(source, surface, device, convention)
     if workers is None:
@@ -170,7 +176,7 @@ def bake(
             minutes=minutes,
             out=output,
             scheduler=scheduler,
-            progress=bake_progress(show),
+            progress=bake_progress(show, effort.error),
             stop=stop,
             resume=resume,
             **shared,

@@ -137,13 +137,13 @@ def _cost_for_time(
 def _time_for(finer: float) -> float:
     """Time of a pass whose error is smaller than that of a coarse pass by this factor, over the time of that one."""
     steep = max(finer / FINEST, 1.0)
-    return (finer / steep) ** COARSE_EXPONENT * steep**COST_EXPONENT
+    return float((finer / steep) ** COARSE_EXPONENT * steep**COST_EXPONENT)
 
 
 def _finer_in(time_over_coarse: float) -> float:
     """The inverse of `_time_for`."""
     steep = max(time_over_coarse / FINEST**COARSE_EXPONENT, 1.0)
-    return (time_over_coarse / steep) ** (1.0 / COARSE_EXPONENT) * steep ** (1.0 / COST_EXPONENT)
+    return float((time_over_coarse / steep) ** (1.0 / COARSE_EXPONENT) * steep ** (1.0 / COST_EXPONENT))
 
 
 @dataclass(frozen=True)

@@ -86,18 +86,20 @@ def reporting(label: str, first: str = "") -> Iterator[Report]:
         yield report
 
 
-def bake_progress(show: Report) -> Callable[[int, int, "BakeStatus"], None]:
-    """Return a bake's progress callback. It shows the share of the predicted time, which never decreases."""
+def bake_progress(show: Report, requested: float | None = None) -> Callable[[int, int, "BakeStatus"], None]:
+    """Return a bake's progress callback. It shows the share of the predicted time, which never decreases, and the error
+    that decides, beside the `requested` one.
+    """
+    asked = "" if requested is None else f" ({100.0 * requested:g} % asked)"
     furthest = 0.0
 
     def report(done: int, total: int, status: "BakeStatus") -> None:
         nonlocal furthest
-        seconds, _evaluations, error = status
-        left = status.left
+        seconds, left = status[0], status.left
         if left is not None:
             furthest = max(furthest, min(seconds / max(seconds + left, 1e-9), NEARLY))
-        stage = f"{status.stage}: " if status.stage else ""
-        show(None if left is None else furthest, f"{stage}{done} of {total} vertices, error {error:.2%}", left)
+        counted = f"{done} of {total} vertices" if status.figures is None else f"{status.figures}{asked}"
+        show(None if left is None else furthest, ": ".join(filter(None, (status.stage, counted))), left)
 
     return report
 
