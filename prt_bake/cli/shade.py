@@ -1,5 +1,6 @@
 """`prtbake shade`: relights a baked asset and writes the picture."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -153,12 +154,10 @@ def shade(
         say(f"{asset}: {remark}")
     if picture.reflects and normals is None and baked.mesh.flat_shaded:
         say(f"{asset}: {FLAT_SHADED}")
-    print(f"{asset}: error of the coefficients {baked.error}")
-    error = f"{picture.relative_error:.2%} of the object's radiance" if picture.relative_error else "unknown"
+    print(f"{output}: error {picture.errors}")
     print(
         f"{output}: {picture.shaded} vertices in {picture.seconds:.2f} s, clamped negative radiance "
-        f"{abs(picture.clamped):.3%} of the energy, projection error {error}"
-        + _light_figures(baked, picture.suns, suns, bool(lighting.skies))
+        f"{abs(picture.clamped):.3%} of the energy" + _light_figures(baked, picture.suns, suns, bool(lighting.skies))
     )
 
 
@@ -191,7 +190,11 @@ def _write_picture(output: Path, baked: Any, lighting: Any, view: Any, options: 
         picture.image,
         exposure=exposure,
         layers={"error": picture.error, "coverage": picture.coverage, **picture.layers},
-        attributes={"prtbake.shows": _shows(picture), "prtbake.error": "projection"},
+        attributes={
+            "prtbake.shows": _shows(picture),
+            "prtbake.error": "projection",
+            "prtbake.picture_error": json.dumps(picture.errors and picture.errors.as_json()),
+        },
         alpha=None if options["background"] else picture.coverage,
     )
     return picture

@@ -19,6 +19,7 @@ from prt_bake.lights.lighting import Lighting, as_lighting
 from prt_bake.reflection.finish import Normals
 from prt_bake.shading.asset_light import light_for
 from prt_bake.shading.layers import make_layers
+from prt_bake.shading.picture_error import PictureError, view_error
 from prt_bake.shading.radiance_error import interpolate_over_faces, radiance_error
 from prt_bake.shading.sun_shading import SunTreatment
 from prt_bake.shading.surface_reflection import AssetReflection, reflects
@@ -44,6 +45,7 @@ class Picture:
         error: standard error [H,W,3] of the object's radiance, from the asset's standard errors and from the difference
             between two half buffers of reflected rays. The error of the model itself is not included.
         relative_error: rms of `error` over rms of the object's radiance.
+        errors: the relative error of the picture, all that is known: network, bake, view bins and noise.
         layers: the requested layers (`prt_bake.shading.layers`).
         reflects: whether light reflected at the surface is included.
         suns: number of suns that were treated separately.
@@ -60,6 +62,7 @@ class Picture:
     layers: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     reflects: bool = False
     suns: int = 0
+    errors: PictureError | None = None
 
 
 def render_picture(
@@ -122,16 +125,19 @@ def render_picture(
     subsurface = np.einsum("nk,nkc->nc", weights, shading.radiance[corners])
     pixels = PixelMeans(points.pixels, camera, samples**2)
     coverage, picture = pixels.means(None), pixels.means(subsurface)
-    errors = pixels.means(interpolate_over_faces(asset, weights, corners, sigma))
+    bake_error = pixels.means(interpolate_over_faces(asset, weights, corners, sigma))
+    noise = np.zeros_like(bake_error)
     parts = {"subsurface": subsurface, "reflection": np.zeros_like(subsurface)}
     reflecting = reflection and reflects(asset)
+    light_weights = light_coefficients(asset, prepared.whole)
     if reflecting:
-        light_weights = light_coefficients(asset, prepared.whole)
         surface = AssetReflection(asset, lighting, light_weights, visibility, samples**2, roughness, normals)
         parts["reflection"], difference = _reflect(surface, points)
         picture = picture + pixels.means(parts["reflection"])
-        errors = np.hypot(errors, pixels.means(difference))
+        noise = pixels.means(difference)
+    errors = np.hypot(bake_error, noise)
     signal = float((picture**2).sum())
+    below = float((pixels.means(subsurface) ** 2).sum())
     made = make_layers(layers, asset.mesh, points, pixels, parts, picture)
     if background:
         picture = picture.copy()
@@ -144,11 +150,31 @@ def render_picture(
         float((weights.sum(axis=1) <= 0.0).mean()),
         time.perf_counter() - start,
         single_precision(errors, "picture: standard error"),
-        math.sqrt(float((errors**2).sum()) / signal) if signal > 0.0 else 0.0,
+        _ratio(float((errors**2).sum()), signal),
         made,
         reflecting,
         prepared.found,
+        _errors(
+            asset,
+            view_error(asset, light_weights, outgoing, visible, shading.radiance),
+            _ratio(below, signal),
+            _ratio(float((bake_error**2).sum()), signal),
+            _ratio(float((noise**2).sum()), signal),
+        ),
     )
+
+
+def _errors(asset: Asset, views: float | None, subsurface: float, bake: float, noise: float) -> PictureError:
+    """The parts relative to the picture; `subsurface` is the rms of light from under the surface over that of all."""
+    known = asset.error
+    network = None if known.network is None else subsurface * known.network.value
+    return PictureError(
+        network, bake or None, None if views is None else subsurface * views, noise, path_traced=known.path_traced
+    )
+
+
+def _ratio(squares: float, signal: float) -> float:
+    return math.sqrt(squares / signal) if signal > 0.0 else 0.0
 
 
 def _reflect(surface: AssetReflection, points: VisiblePoints) -> tuple[Array, Array]:

@@ -1,5 +1,7 @@
 """`prtbake shade`: pictures, layers, cameras, turntables and error pictures."""
 
+import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,11 +41,15 @@ def test_shade_makes_a_picture(prtbake: Run, tmp_path: Path, suffix: str) -> Non
     assert image.shape == (30, 40, 3)
     assert np.isfinite(image).all()
     np.testing.assert_allclose(image[0, 0], 1.0, atol=1e-3)
-    assert "projection error" in outcome.out
-    # The model of the command's folder was not trained.
-    assert outcome.out.startswith("asset.h5: error of the coefficients unknown: the network's error is unknown, the b")
+    # The model of the command's folder was not trained, and its asset has two rings of view bins.
+    stated = (
+        r"(?s).*\.(png|exr): error at least \d+\.\d% \(network unknown, bake \d+\.\d%, views unknown, noise 0\.0%\)\n.*"
+    )
+    assert re.fullmatch(stated, outcome.out)
     if suffix == ".exr":
-        layers = read_layers(output).layers
+        stored = read_layers(output)
+        assert json.loads(stored.attributes["prtbake.picture_error"])["network"] is None
+        layers = stored.layers
         assert layers["error"][15, 20].min() > 0.0
         assert (layers["error"][0, 0].max(), layers["coverage"][0, 0], layers["coverage"][15, 20]) == (0.0, 0.0, 1.0)
 
