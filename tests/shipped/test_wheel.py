@@ -75,6 +75,6 @@ def test_the_demo_runs_from_a_wheel_without_a_home(installed: Path, place: Path)
     demo = run("demo", "--out", "demo")
     assert demo.returncode == 0, demo.stderr
     assert all((work / "demo" / name).is_file() for name in FILES)
-    assert "prtbake: compiling kernels; this takes up to a minute in every run" in demo.stderr
+    assert "prtbake: compiling kernels; this takes about a minute in every run" in demo.stderr
     assert "Warning" not in demo.stderr
     assert not [path for path in installed.rglob("__pycache__") if path.is_dir()]
