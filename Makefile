@@ -13,7 +13,7 @@ export OPENBLAS_NUM_THREADS := 1
 .PHONY: demo picture test test-statistics lint messages bench gpu shipped clean
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
-demo: .venv/installed-evaluate
+demo: .venv/installed-evaluate,preview
 	$(BIN)/prtbake demo --out demo
 
 picture: .venv/installed-evaluate

@@ -1,7 +1,5 @@
 """Optional packages: which are missing, and how to install them."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib.util import find_spec
 
 from formats.errors import PrtbakeError
@@ -27,23 +25,3 @@ def require(task: str, *modules: str) -> None:
     """
     if sentence := missing_sentence(*modules):
         raise PrtbakeError(f"{task}: {sentence}")
-
-
-@contextmanager
-def requires_matplotlib(task: str) -> Iterator[None]:
-    """Context of imports from matplotlib. Raises PrtbakeError, which begins with the task, if it is not installed."""
-    try:
-        yield
-    except ImportError:
-        raise PrtbakeError(f"{task}: matplotlib is not installed; pip install matplotlib") from None
-
-
-@contextmanager
-def requires_pyvista(task: str) -> Iterator[None]:
-    """Context of imports from PyVista. Raises PrtbakeError, which begins with the task, if it is not installed."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] not in ("pyvista", "vtkmodules"):
-            raise
-        raise PrtbakeError(f"{task}: PyVista is not installed; pip install pyvista") from None

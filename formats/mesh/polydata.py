@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.extras import requires_pyvista
+from formats.extras import require
 
 
 def polydata(positions: NDArray[np.float64], faces: NDArray[np.integer], normals: NDArray[np.float64]) -> Any:
@@ -13,8 +13,9 @@ def polydata(positions: NDArray[np.float64], faces: NDArray[np.integer], normals
 
     Raises PrtbakeError if PyVista is not installed.
     """
-    with requires_pyvista("to_pyvista"):
-        import pyvista
+    require("to_pyvista", "pyvista")
+    import pyvista
+
     mesh = pyvista.PolyData.from_regular_faces(np.array(positions), np.array(faces))
     mesh.point_data.active_normals = normals.astype(np.float32)
     return mesh

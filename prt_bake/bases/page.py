@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from formats.atomic import replacing
-from formats.extras import requires_matplotlib
+from formats.errors import requires_matplotlib
 from prt_bake.bases.rows import Estimate, Row
 
 

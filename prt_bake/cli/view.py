@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from formats.errors import QueryError
-from formats.extras import requires_pyvista
+from formats.extras import require
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.options import (
     USUAL_FOV,
@@ -161,8 +161,9 @@ def _open(baked: "Asset", options: _Options, refined: bool) -> _Opened:
 
 
 def _load_window() -> Any:
-    with requires_pyvista("view"):
-        from prt_bake.preview import window
+    require("view", "pyvista")
+    from prt_bake.preview import window
+
     return window
 
 

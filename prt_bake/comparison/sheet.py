@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.atomic import replacing
-from formats.extras import requires_matplotlib
+from formats.errors import requires_matplotlib
 from formats.image import write_image
 from formats.image.png import to_linear, to_srgb
 from prt_bake.comparison.flip import PIXELS_PER_DEGREE

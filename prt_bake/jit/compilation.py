@@ -24,8 +24,6 @@ from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.compiler_lock import global_compiler_lock
 
-from prt_bake.jit import notice
-
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -95,13 +93,18 @@ class KernelCache(FunctionCache):
 
 
 class _Notices(event.Listener):
-    """Says that our kernels are compiled, and records their times; loading cached kernels is no event."""
+    """Says that our kernels are compiled, and records their times; loading cached kernels is no event.
+
+    The words are imported here and not at the top, where they would be one of the sources of every kernel.
+    """
 
     def __init__(self) -> None:
         self._begun: list[float] = []
 
     def on_start(self, event: Any) -> None:
         """A kernel, or one that it calls, is going to be compiled."""
+        from prt_bake.jit import notice
+
         self._begun.append(time.monotonic())
         kernel = event.data["dispatcher"]
         if kernel.py_func.__module__.partition(".")[0] == "prt_bake":
@@ -111,6 +114,8 @@ class _Notices(event.Listener):
 
     def on_end(self, event: Any) -> None:
         """A kernel was compiled, or could not be."""
+        from prt_bake.jit import notice
+
         begun = self._begun.pop()
         if not self._begun:
             notice.compiled.append((event.data["dispatcher"].py_func.__qualname__, time.monotonic() - begun))

@@ -25,11 +25,11 @@ def announce(folder: str | None, kept: bool) -> None:
     said = True
     if folder is None:
         say(
-            "compiling kernels; this takes up to a minute in every run, since neither the package's folder nor the "
+            "compiling kernels; this takes about a minute in every run, since neither the package's folder nor the "
             "user's cache folder can be written; to keep them, set NUMBA_CACHE_DIR to a folder that can"
         )
     elif kept:
-        say(f"compiling kernels, once; this takes up to a minute, and they are kept in {folder}")
+        say(f"compiling kernels, once; this takes about a minute, and they are kept in {folder}")
     else:
         say("compiling kernels; they are not kept, since a source was edited after this process began")
 

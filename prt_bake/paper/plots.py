@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from formats.atomic import replacing
-from formats.extras import requires_matplotlib
+from formats.errors import requires_matplotlib
 from prt_bake.paper.results import BARS
 from prt_bake.paper.times import Trained, power_law
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from formats.atomic import replacing
-from formats.extras import requires_matplotlib
+from formats.errors import requires_matplotlib
 from formats.image.png import to_srgb
 
 CELL = 192

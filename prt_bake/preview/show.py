@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from formats.asset import Asset
 from formats.errors import QueryError, warn
-from formats.extras import requires_pyvista
+from formats.extras import require
 from prt_bake.geometry import camera
 from prt_bake.lights.lighting import Lighting
 from prt_bake.preview.lights import LightSource
@@ -21,8 +21,9 @@ _NEEDED_BY_SERVER = "trame_pyvista", "ipywidgets"
 
 def show(asset: Asset, light: str | os.PathLike[str] | Lighting | None = None, eye: ArrayLike | None = None) -> Any:
     """Show the window, or draw it in a notebook; `Asset.show` describes it."""
-    with requires_pyvista("show"):
-        from prt_bake.preview.window import View, Window, on_display, open_plotter
+    require("show", "pyvista")
+    from prt_bake.preview.window import View, Window, on_display, open_plotter
+
     preview = Preview(asset, _sources(asset, light))
     start = camera.fit(asset.mesh, *_SIZE, eye=eye, up=asset.up)
     camera.refuse_eye_in_object(asset.mesh, start.eye)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.atomic import replacing
-from formats.extras import requires_matplotlib
+from formats.errors import requires_matplotlib
 from prt_bake.shading.picture import Picture
 
 Array = NDArray[np.float64]

@@ -1,8 +1,8 @@
 """Commands end with the next one to type, which works with the user's own file names."""
 
-import importlib.util
 import shlex
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -22,14 +22,14 @@ def _next(err: str) -> list[str]:
 def test_a_new_asset_is_shown(prtbake: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DISPLAY", "")
     line = _next(prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "my asset.h5", *SMALL).err)
-    if importlib.util.find_spec("vtkmodules") is not None and sys.platform == "linux":
+    if all(map(find_spec, ("pyvista", "vtkmodules"))) and sys.platform == "linux":
         assert line == ["view", str(tmp_path / "my asset.h5"), "--screenshot", str(tmp_path / "my asset.png")]
 
 
 def test_an_asset_is_shown_by_what_is_installed(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setitem(sys.modules, "vtkmodules", None)
+    monkeypatch.setitem(sys.modules, "pyvista", None)
     say_next_of_asset(Path("a.h5"))
     line = _next(capsys.readouterr().err)
     assert line[:3] == ["shade", "a.h5", "--light"]

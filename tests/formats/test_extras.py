@@ -1,11 +1,12 @@
 """Missing optional packages are named with a command that installs them, before any work."""
 
 import sys
+from pathlib import Path
 
 import pytest
 
-from formats.errors import PrtbakeError
-from formats.extras import EVALUATE, missing_sentence, require, requires_matplotlib
+from formats.errors import PrtbakeError, requires_matplotlib
+from formats.extras import EVALUATE, missing_sentence, require
 from tests.cli.command_line import Run
 
 LINES = {
@@ -48,3 +49,17 @@ def test_plots_need_matplotlib(prtbake: Run, monkeypatch: pytest.MonkeyPatch) ->
     assert shaded.err == "prtbake: --error-picture: matplotlib is not installed; pip install matplotlib\n"
     assert "compare: matplotlib is not" in prtbake("compare", "sky.exr", "sky.exr", "--flip-map", "b.png").err
     assert prtbake("compare", "sky.exr", "sky.exr").code == 0
+
+
+def test_a_training_says_at_its_start_that_there_will_be_no_report(
+    prtbake: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def stop(*_: object, **__: object) -> None:
+        raise PrtbakeError("the training would begin here")
+
+    monkeypatch.setattr("prt_bake.trainer.train.train", stop)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    sentence = "there will be no report: matplotlib is not installed; pip install matplotlib; `prtbake report training`"
+    line = ("train", "scene.toml", "-o", tmp_path / "m.pt", "--device", "cpu")
+    assert prtbake(*line).err.startswith(f"prtbake: {sentence}")
+    assert "no report" not in prtbake(*line, "--no-report").err

@@ -137,7 +137,7 @@ def test_compilation_is_said_once_and_loading_is_not(root: Path, said: list[str]
     first = _loaded(root)
     assert (first.times(2), first.times(0.5)) == (6, 1.5)
     folder = root / "prt_bake" / "__pycache__"
-    assert said == [f"compiling kernels, once; this takes up to a minute, and they are kept in {folder}"]
+    assert said == [f"compiling kernels, once; this takes about a minute, and they are kept in {folder}"]
     assert [name for name, seconds in notice.compiled if seconds > 0.0] == ["times", "times"]
     notice.said = False
     assert _loaded(root).times(2) == 6

@@ -161,5 +161,5 @@ def test_without_pyvista_the_message_names_what_to_install(tmp_path) -> None:
     command = [sys.executable, "-c", WITHOUT, str(tmp_path / "asset.h5")]
     ran = subprocess.run(command, capture_output=True, text=True, check=True)
     assert ran.stdout.splitlines() == [
-        f"{task}: PyVista is not installed; pip install pyvista" for task in ("to_pyvista", "to_pyvista", "show")
+        f"{task}: pyvista is not installed; pip install pyvista" for task in ("to_pyvista", "to_pyvista", "show")
     ]

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from formats.atomic import replacing
-from formats.extras import requires_matplotlib
+from formats.errors import requires_matplotlib
 from prt_bake.baking.report.budget import Part
 from prt_bake.baking.report.methods import Row, seconds_for, slope
 

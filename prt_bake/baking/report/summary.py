@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from formats.asset import Asset
 from formats.atomic import replacing
-from formats.extras import requires_matplotlib
+from formats.errors import requires_matplotlib
 
 REACHED = 1.02
 """Times the requested error that still counts as reached."""

@@ -1,9 +1,9 @@
 """The last line of a command: the one to type next, with the user's own file names."""
 
-import importlib.util
 import os
 import shlex
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 
@@ -13,8 +13,8 @@ def say_next(*words: object) -> None:
 
 
 def say_next_of_asset(asset: Path) -> None:
-    """Print the command that shows an asset: in a window, without a display in a file, without VTK by `shade`."""
-    if importlib.util.find_spec("vtkmodules") is None:
+    """Print the command that shows an asset: in a window, without a display in a file, without PyVista by `shade`."""
+    if not all(map(find_spec, ("pyvista", "vtkmodules"))):
         from prt_bake.shipped.examples import example
 
         say_next("prtbake", "shade", asset, "--light", example("sky.hdr"), "-o", asset.with_suffix(".png"))

@@ -44,7 +44,7 @@ def verbosely(enabled: bool) -> Iterator[None]:
         yield
     finally:
         if notice.compiled:
-            detail(f"compiled {len(notice.compiled)} kernels in {notice.seconds():.1f} s")
+            detail(f"compiled kernels in {notice.seconds():.1f} s")
         detail(f"{time.monotonic() - started:.1f} s in all")
         _enabled = False
 

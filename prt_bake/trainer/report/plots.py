@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from formats.extras import requires_matplotlib
+from formats.errors import requires_matplotlib
 
 _INK = "#010203"
 """Placeholder that the page replaces by its text colour."""
