@@ -175,6 +175,12 @@ def test_what_the_time_is_over_for_is_left_out(kitchen, capsys):
     assert [step["name"] for step in summary()["steps"] if step["note"]] == ["turntable", "compress"]
     assert "| compress | 0 s | left out, since the time was over |" in Path("out/summary.md").read_text()
     assert not Path("out/compact.h5").exists()
+    kitchen.seconds["turntable"] = 100.0
+    assert kitchen.run("wax.toml", "-o", "out") == []  # a tenth of the time is no more than 8 frames take
+    kitchen.seconds["picture"] = 4.0
+    Path("out/picture.png").unlink()
+    assert [call[0] for call in kitchen.run("wax.toml", "-o", "out")] == ["picture", "turntable"]
+    assert Path("out/compact.h5").exists()
 
 
 def test_another_scene_or_foreign_files_are_refused(kitchen):
@@ -198,9 +204,9 @@ def test_another_scene_or_foreign_files_are_refused(kitchen):
 
 def test_a_mesh_gets_a_scene_in_the_folder(kitchen, capsys):
     kitchen.run("ball.obj", "-o", "out", "--material", "jade", "--size", "4cm")
-    assert 'material = "jade"' in Path("out/scene.toml").read_text()
+    assert 'material = "jade"' in Path("out/ball.toml").read_text()
     assert kitchen.run("ball.obj", "-o", "out", "--material", "jade") == []
-    assert "out/scene.toml: is there already, and is used as it is; --force writes it anew" in capsys.readouterr().err
+    assert "out/ball.toml: is there already, and is used as it is; --force writes it anew" in capsys.readouterr().err
 
 
 def test_what_would_fail_later_is_refused_at_once(kitchen):

@@ -38,7 +38,7 @@ class Steps:
     """Runs the steps that a folder does not have yet."""
 
     def __init__(self, context: typer.Context, record: Record, scene: Path, mesh: Path, lights: list[str]) -> None:
-        """`record.settings` has the time in minutes; what finished steps took of it is not available again."""
+        """`record.settings` has the time in minutes. Later runs have what the finished steps left, at least a tenth."""
         self._root = context.find_root().command
         self._record, self._scene, self._mesh, self._lights = record, scene, mesh, lights
         self._total = 60.0 * float(record.settings["minutes"])
@@ -55,9 +55,9 @@ class Steps:
         }
         finished = list(takewhile(lambda step: step is not None, map(self._record.finished, steps)))
         self._record.steps = [step for step in finished if step is not None]
-        self._deadline = time.monotonic() + max(0.0, self._total - self._record.seconds)
+        self._deadline = time.monotonic() + max(REST * self._total, self._total - self._record.seconds)
         for step in self._record.steps:
-            say(f"{step.name}: {step.note or f'done already, in {in_words(step.seconds)}'}")
+            say(f"{step.name}: done already, in {in_words(step.seconds)}")
         for name in list(steps)[len(finished) :]:
             steps[name]()
 
