@@ -24,7 +24,7 @@ class Kitchen:
 
     def __init__(self, asset):
         self.asset, self.seconds, self.now = asset, dict(SECONDS), 0.0
-        self.calls, self.broken = [], ""
+        self.calls, self.broken, self.slow = [], "", False
         self.app = typer.Typer()
         for command in (make, self.train, self.bake, self.shade):
             self.app.command(command.__name__)(command)
@@ -64,10 +64,20 @@ class Kitchen:
         minutes: float = 0.0,
         workers: int = 1,
         resume: Annotated[bool, typer.Option("--resume")] = False,
+        rings: int = 16,
+        sectors: int = 64,
+        samples: int = 64,
+        lobes: int = 4,
     ) -> None:
         assert source.is_file()
         assert mesh.is_file()
-        self.finish("bake", output, error, minutes, resume)
+        if self.slow and minutes:
+            self.calls.append(("bake", error, minutes, resume))
+            self.now += 60.0 * minutes
+            Path(f"{output}.journal").mkdir()
+            raise PrtbakeError("nothing was written")
+        assert resume or not Path(f"{output}.journal").exists()
+        self.finish("bake", output, rings if self.slow else error, minutes, resume)
 
     def shade(
         self,
@@ -118,7 +128,7 @@ def test_the_steps_share_the_time(kitchen, capsys):
     assert found["figures"]["vertices"] == 42
     page = Path("out/summary.md").read_text()
     assert "    prtbake train wax.toml -o out/model.pt --minutes 14\n" in page
-    assert "    prtbake bake out/model.pt ball.obj -o out/asset.h5 --error 0.02 --minutes 4 --workers" in page
+    assert "    prtbake bake out/model.pt ball.obj -o out/asset.h5 --workers" in page
     assert "![picture.png](picture.png)" in page
     captured = capsys.readouterr()
     assert captured.out.startswith("out/summary.md: error of the coefficients ")
@@ -153,6 +163,14 @@ def test_a_stopped_bake_is_resumed_with_the_same_time(kitchen):
     assert [call[0] for call in calls] == ["bake", "picture", "turntable"]
     assert calls[0] == ("bake", 0.02, 4.0, True)
     assert "--resume" not in Path("out/summary.md").read_text()
+
+
+def test_a_bake_that_is_too_slow_is_coarse(kitchen, capsys):
+    kitchen.slow = True
+    calls = kitchen.run("wax.toml", "-o", "out")
+    assert calls[1:3] == [("bake", 0.02, 4.0, False), ("bake", 8, 0.0, False)]
+    assert "bake: nothing was ready after 4 minutes; a coarse bake follows, of fewer views" in capsys.readouterr().err
+    assert "--rings 8 --sectors 16 --samples 18" in summary()["steps"][1]["command"]
 
 
 def test_the_exit_code_of_a_step_stops_the_rest(kitchen, monkeypatch):
