@@ -169,7 +169,10 @@ def test_a_bake_that_is_too_slow_is_coarse(kitchen, capsys):
     kitchen.slow = True
     calls = kitchen.run("wax.toml", "-o", "out")
     assert calls[1:3] == [("bake", 0.02, 4.0, False), ("bake", 8, 0.0, False)]
-    assert "bake: nothing was ready after 4 minutes; a coarse bake follows, of fewer views" in capsys.readouterr().err
+    assert (
+        "bake: not all vertices were ready after 4 minutes; a coarse bake follows, of fewer views"
+        in capsys.readouterr().err
+    )
     assert "--rings 8 --sectors 16 --samples 18" in summary()["steps"][1]["command"]
 
 

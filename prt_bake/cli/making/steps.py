@@ -88,9 +88,9 @@ class Steps:
         try:
             self._run("bake", [*arguments, *within], [ASSET], ["--resume"] if resume else [])
         except PrtbakeError:
-            if time.monotonic() < latest or Path(asset).exists():
+            if time.monotonic() < latest or _is_complete(Path(asset)):
                 raise
-            say(f"bake: nothing was ready after {planned} minutes; a coarse bake follows, of fewer views")
+            say(f"bake: not all vertices were ready after {planned} minutes; a coarse bake follows, of fewer views")
             self._run("bake", [*arguments, *_COARSE], [ASSET])
 
     def _picture(self) -> None:
@@ -161,6 +161,12 @@ class Steps:
 
     def _left(self) -> float:
         return self._deadline - time.monotonic()
+
+
+def _is_complete(asset: Path) -> bool:
+    from formats.asset import read_asset
+
+    return asset.is_file() and bool(read_asset(asset).complete)
 
 
 def _minutes(seconds: float) -> str:
