@@ -168,12 +168,12 @@ def test_a_stopped_bake_is_resumed_with_the_same_time(kitchen):
 def test_a_bake_that_is_too_slow_is_coarse(kitchen, capsys):
     kitchen.slow = True
     calls = kitchen.run("wax.toml", "-o", "out")
-    assert calls[1:3] == [("bake", 0.02, 4.0, False), ("bake", 8, 0.0, False)]
+    assert calls[1:3] == [("bake", 0.02, 4.0, False), ("bake", 4, 0.0, False)]
     assert (
         "bake: not all vertices were ready after 4 minutes; a coarse bake follows, of fewer views"
         in capsys.readouterr().err
     )
-    assert "--rings 8 --sectors 16 --samples 18" in summary()["steps"][1]["command"]
+    assert "--rings 4 --sectors 8 --samples 18" in summary()["steps"][1]["command"]
 
 
 def test_the_exit_code_of_a_step_stops_the_rest(kitchen, monkeypatch):

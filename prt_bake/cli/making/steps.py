@@ -27,7 +27,7 @@ _LEAST_SHARE, _LEAST_SECONDS = 0.1, 30.0
 _OVERRUN = 0.05
 """Share of the time by which the last steps may exceed it."""
 _BAKE_ERROR, _COMPRESSION_ERROR = 0.02, 0.005
-_COARSE = ("--rings", "8", "--sectors", "16", "--samples", "18", "--lobes", "0")
+_COARSE = ("--rings", "4", "--sectors", "8", "--samples", "18", "--lobes", "0")
 """A bake that takes seconds, for slow machines whose time is over before an adaptive bake has its first pass."""
 _FRAMES = (8, 36)
 _FRAMES_A_SECOND = 12
