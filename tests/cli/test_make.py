@@ -24,7 +24,7 @@ class Kitchen:
 
     def __init__(self, asset):
         self.asset, self.seconds, self.now = asset, dict(SECONDS), 0.0
-        self.calls, self.broken = [], ""
+        self.calls, self.broken, self.slow = [], "", False
         self.app = typer.Typer()
         for command in (make, self.train, self.bake, self.shade):
             self.app.command(command.__name__)(command)
@@ -64,10 +64,20 @@ class Kitchen:
         minutes: float = 0.0,
         workers: int = 1,
         resume: Annotated[bool, typer.Option("--resume")] = False,
+        rings: int = 16,
+        sectors: int = 64,
+        samples: int = 64,
+        lobes: int = 4,
     ) -> None:
         assert source.is_file()
         assert mesh.is_file()
-        self.finish("bake", output, error, minutes, resume)
+        if self.slow and minutes:
+            self.calls.append(("bake", error, minutes, resume))
+            self.now += 60.0 * minutes
+            Path(f"{output}.journal").mkdir()
+            raise PrtbakeError("nothing was written")
+        assert resume or not Path(f"{output}.journal").exists()
+        self.finish("bake", output, rings if self.slow else error, minutes, resume)
 
     def shade(
         self,
@@ -118,7 +128,7 @@ def test_the_steps_share_the_time(kitchen, capsys):
     assert found["figures"]["vertices"] == 42
     page = Path("out/summary.md").read_text()
     assert "    prtbake train wax.toml -o out/model.pt --minutes 14\n" in page
-    assert "    prtbake bake out/model.pt ball.obj -o out/asset.h5 --error 0.02 --minutes 4 --workers" in page
+    assert "    prtbake bake out/model.pt ball.obj -o out/asset.h5 --workers" in page
     assert "![picture.png](picture.png)" in page
     captured = capsys.readouterr()
     assert captured.out.startswith("out/summary.md: error of the coefficients ")
@@ -155,6 +165,17 @@ def test_a_stopped_bake_is_resumed_with_the_same_time(kitchen):
     assert "--resume" not in Path("out/summary.md").read_text()
 
 
+def test_a_bake_that_is_too_slow_is_coarse(kitchen, capsys):
+    kitchen.slow = True
+    calls = kitchen.run("wax.toml", "-o", "out")
+    assert calls[1:3] == [("bake", 0.02, 4.0, False), ("bake", 4, 0.0, False)]
+    assert (
+        "bake: not all vertices were ready after 4 minutes; a coarse bake follows, of fewer views"
+        in capsys.readouterr().err
+    )
+    assert "--rings 4 --sectors 8 --samples 18" in summary()["steps"][1]["command"]
+
+
 def test_the_exit_code_of_a_step_stops_the_rest(kitchen, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
@@ -175,6 +196,12 @@ def test_what_the_time_is_over_for_is_left_out(kitchen, capsys):
     assert [step["name"] for step in summary()["steps"] if step["note"]] == ["turntable", "compress"]
     assert "| compress | 0 s | left out, since the time was over |" in Path("out/summary.md").read_text()
     assert not Path("out/compact.h5").exists()
+    kitchen.seconds["turntable"] = 100.0
+    assert kitchen.run("wax.toml", "-o", "out") == []  # a tenth of the time is no more than 8 frames take
+    kitchen.seconds["picture"] = 4.0
+    Path("out/picture.png").unlink()
+    assert [call[0] for call in kitchen.run("wax.toml", "-o", "out")] == ["picture", "turntable"]
+    assert Path("out/compact.h5").exists()
 
 
 def test_another_scene_or_foreign_files_are_refused(kitchen):
@@ -198,9 +225,9 @@ def test_another_scene_or_foreign_files_are_refused(kitchen):
 
 def test_a_mesh_gets_a_scene_in_the_folder(kitchen, capsys):
     kitchen.run("ball.obj", "-o", "out", "--material", "jade", "--size", "4cm")
-    assert 'material = "jade"' in Path("out/scene.toml").read_text()
+    assert 'material = "jade"' in Path("out/ball.toml").read_text()
     assert kitchen.run("ball.obj", "-o", "out", "--material", "jade") == []
-    assert "out/scene.toml: is there already, and is used as it is; --force writes it anew" in capsys.readouterr().err
+    assert "out/ball.toml: is there already, and is used as it is; --force writes it anew" in capsys.readouterr().err
 
 
 def test_what_would_fail_later_is_refused_at_once(kitchen):

@@ -78,7 +78,7 @@ def _scene_file(scene: Path, folder: Path, material: str | None, size: str | Non
         if material is not None or size is not None:
             raise typer.BadParameter("--material and --size are for meshes; a scene has its own, in [medium] and unit")
         return scene
-    path = folder / "scene.toml"
+    path = folder / f"{scene.stem}.toml"
     if path.exists() and not force:
         say(f"{path}: is there already, and is used as it is; --force writes it anew")
     else:

@@ -19,7 +19,7 @@ SUMMARY, PAGE = "summary.json", "summary.md"
 
 @dataclass(frozen=True)
 class Step:
-    """A finished step: the command that does it by hand, its seconds, and its files with their bytes."""
+    """A step: the command that does it by hand, its seconds, its files with their bytes; or why it was left out."""
 
     name: str
     command: str
@@ -83,9 +83,13 @@ class Record:
         return record
 
     def finished(self, name: str) -> Step | None:
-        """Return the step if it is finished and its files are as it left them."""
+        """Return the step if it is finished, was not left out, and its files are as it left them."""
         for step in self.steps:
-            if step.name == name and all(_size(self.folder / file) == size for file, size in step.files.items()):
+            if (
+                step.name == name
+                and not step.note
+                and all(_size(self.folder / file) == size for file, size in step.files.items())
+            ):
                 return step
         return None
 

@@ -6,6 +6,7 @@ Training takes 70 % of the time, the bake what is left until 90 %, pictures and 
 import math
 import os
 import shlex
+import shutil
 import time
 from itertools import takewhile
 from pathlib import Path
@@ -26,6 +27,8 @@ _LEAST_SHARE, _LEAST_SECONDS = 0.1, 30.0
 _OVERRUN = 0.05
 """Share of the time by which the last steps may exceed it."""
 _BAKE_ERROR, _COMPRESSION_ERROR = 0.02, 0.005
+_COARSE = ("--rings", "4", "--sectors", "8", "--samples", "18", "--lobes", "0")
+"""A bake that takes seconds, for slow machines whose time is over before an adaptive bake has its first pass."""
 _FRAMES = (8, 36)
 _FRAMES_A_SECOND = 12
 
@@ -38,7 +41,7 @@ class Steps:
     """Runs the steps that a folder does not have yet."""
 
     def __init__(self, context: typer.Context, record: Record, scene: Path, mesh: Path, lights: list[str]) -> None:
-        """`record.settings` has the time in minutes; what finished steps took of it is not available again."""
+        """`record.settings` has the time in minutes. Later runs have what the finished steps left, at least a tenth."""
         self._root = context.find_root().command
         self._record, self._scene, self._mesh, self._lights = record, scene, mesh, lights
         self._total = 60.0 * float(record.settings["minutes"])
@@ -55,11 +58,15 @@ class Steps:
         }
         finished = list(takewhile(lambda step: step is not None, map(self._record.finished, steps)))
         self._record.steps = [step for step in finished if step is not None]
-        self._deadline = time.monotonic() + max(0.0, self._total - self._record.seconds)
+        self._deadline = time.monotonic() + max(REST * self._total, self._total - self._record.seconds)
         for step in self._record.steps:
-            say(f"{step.name}: {step.note or f'done already, in {in_words(step.seconds)}'}")
+            say(f"{step.name}: done already, in {in_words(step.seconds)}")
         for name in list(steps)[len(finished) :]:
-            steps[name]()
+            try:
+                steps[name]()
+            except (PrtbakeError, KeyboardInterrupt, typer.Exit):
+                say(f"{name} was not finished; the same `prtbake make` continues there")
+                raise
 
     def _train(self) -> None:
         model = self._file(MODEL)
@@ -74,9 +81,17 @@ class Steps:
             left = self._left() - REST * self._total
             self._record.planned["bake"] = _minutes(max(left, _LEAST_SHARE * self._total, _LEAST_SECONDS))
             self._record.write()
-        arguments = ["bake", self._file(MODEL), str(self._mesh), "-o", asset, "--error", f"{_BAKE_ERROR:g}"]
-        arguments += ["--minutes", self._record.planned["bake"], "--workers", str(os.cpu_count() or 1)]
-        self._run("bake", arguments, [ASSET], ["--resume"] if resume else [])
+        arguments = ["bake", self._file(MODEL), str(self._mesh), "-o", asset, "--workers", str(os.cpu_count() or 1)]
+        planned = self._record.planned["bake"]
+        within = ["--error", f"{_BAKE_ERROR:g}", "--minutes", planned]
+        latest = time.monotonic() + 60.0 * float(planned)
+        try:
+            self._run("bake", [*arguments, *within], [ASSET], ["--resume"] if resume else [])
+        except PrtbakeError:
+            if time.monotonic() < latest or _is_complete(Path(asset)):
+                raise
+            say(f"bake: not all vertices were ready after {planned} minutes; a coarse bake follows, of fewer views")
+            self._run("bake", [*arguments, *_COARSE], [ASSET])
 
     def _picture(self) -> None:
         self._run("picture", self._shade(PICTURE, 512), [PICTURE])
@@ -123,18 +138,15 @@ class Steps:
         """Run a command and record it; files that an earlier try left are replaced, unless it is resumed."""
         self._announce(name, [*arguments, *(resume or [])])
         if not resume:
-            for file in files:
-                (self._record.folder / file).unlink(missing_ok=True)
+            for path in map(self._record.folder.joinpath, files):
+                path.unlink(missing_ok=True)
+                shutil.rmtree(journal_folder(path), ignore_errors=True)
         began = time.monotonic()
         words = [*arguments, *(resume or [])]
-        try:
-            # Without the standalone mode a command returns its exit code, such as 130 after Ctrl-C.
-            code = self._root.main(args=words, prog_name="prtbake", obj=_text(words), standalone_mode=False)
-            if code:
-                raise typer.Exit(code)
-        except (PrtbakeError, KeyboardInterrupt, typer.Exit):
-            say(f"{name} was not finished; the same `prtbake make` continues there")
-            raise
+        # Without the standalone mode a command returns its exit code, such as 130 after Ctrl-C.
+        code = self._root.main(args=words, prog_name="prtbake", obj=_text(words), standalone_mode=False)
+        if code:
+            raise typer.Exit(code)
         self._record.add(name, _text(arguments), time.monotonic() - began, files)
 
     def _announce(self, name: str, arguments: list[str]) -> None:
@@ -149,6 +161,12 @@ class Steps:
 
     def _left(self) -> float:
         return self._deadline - time.monotonic()
+
+
+def _is_complete(asset: Path) -> bool:
+    from formats.asset import read_asset
+
+    return asset.is_file() and bool(read_asset(asset).complete)
 
 
 def _minutes(seconds: float) -> str:

@@ -104,11 +104,13 @@ class SceneDraft:
 
 
 def _relative(file: Path, scene: Path) -> str:
-    """Return the name of a file relative to the folder of the scene file, with slashes, where that is possible."""
+    """Return the name of a file relative to the folder of the scene file, or the absolute one if that is shorter."""
+    absolute = file.resolve()
     try:
-        return Path(os.path.relpath(file.resolve(), scene.resolve().parent)).as_posix()
+        relative = Path(os.path.relpath(absolute, scene.resolve().parent))
     except ValueError:  # another drive
-        return file.resolve().as_posix()
+        return absolute.as_posix()
+    return min(relative.as_posix(), absolute.as_posix(), key=len)
 
 
 def _quoted(text: str) -> str:
