@@ -82,7 +82,9 @@ def shade(
     ] = "",
     error_picture: Annotated[
         Path | None,
-        optional_output("--error-picture", "E.png", "Also write the error of each pixel in false colours.", ".png"),
+        optional_output(
+            "--error-picture", "E.png", "Also write the error of each pixel in false colours, of the same size.", ".png"
+        ),
     ] = None,
     turntable: Annotated[
         Literal["eye", "light"] | None,
@@ -144,12 +146,17 @@ def shade(
     if error_picture is not None:
         from prt_bake.shading.error_picture import write_error_picture
 
-        write_error_picture(error_picture, picture)
+        largest = write_error_picture(error_picture, picture)
     for remark in _remarks(baked, light, rotate, view.eye, picture, reflection):
         say(f"{asset}: {remark}")
     if picture.reflects and normals is None and baked.mesh.flat_shaded:
         say(f"{asset}: {FLAT_SHADED}")
     print(f"{output}: error {picture.errors}")
+    if error_picture is not None:
+        print(
+            f"{error_picture}: standard error of the bake and the noise at each pixel, from 0 (dark blue) to "
+            f"{largest:.2g} of its radiance (yellow)"
+        )
     print(
         f"{output}: {picture.shaded} vertices in {picture.seconds:.2f} s, clamped negative radiance "
         f"{abs(picture.clamped):.3%} of the energy" + _light_figures(baked, picture.suns, suns)
