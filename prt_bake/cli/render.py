@@ -51,9 +51,7 @@ def render(
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="model.pt (a network) or scene.toml (path traced).")],
     mesh: Annotated[
         Path,
-        typer.Argument(
-            metavar="MESH", help="The model's object; for a scene, the mesh that the camera frames, as in shade."
-        ),
+        typer.Argument(metavar="MESH", help="The object of the model or the scene."),
     ],
     light: Lights,
     output: Annotated[Path, output_option("IMAGE", *IMAGE_SUFFIXES)],
@@ -162,6 +160,8 @@ def render(
         _refuse_network_options(sampling, device, precision, workers)
     surface = read_mesh(mesh)
     opened = _open(source, surface, device)
+    if is_scene:
+        _refuse_other_object(opened, surface, mesh)
     axis = up or (opened.up if is_scene else opened.metadata.get("up", "y"))
     lighting = read_lighting(light, axis, rotate, mend=mend, say=say, mesh=surface)
     view = camera_for(surface, size, axis, side, eye, look_at, fov, orthographic, extent)
@@ -233,6 +233,18 @@ def _refuse_network_options(sampling: str | None, device: str, precision: str, w
     ):
         if given:
             raise typer.BadParameter(f"{name} is for networks; omit it, since a scene (.toml) is path traced")
+
+
+def _refuse_other_object(scene: Any, surface: Any, mesh: Path) -> None:
+    """Raise QueryError if the mesh is not the scene's: it would be framed, and the scene's rendered."""
+    from formats.errors import QueryError
+    from prt_bake.geometry.same_shape import foreign_vertices
+
+    if foreign := foreign_vertices(surface, scene.mesh) or foreign_vertices(scene.mesh, surface):
+        raise QueryError(
+            f"{mesh}: expected the object of {scene.path}, found another one: {foreign} vertices differ; a scene is "
+            f"rendered with its own mesh, so give {scene.parts[0].mesh_path}"
+        )
 
 
 def _open(source: Path, surface: Any, device: str) -> Any:

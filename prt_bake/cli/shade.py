@@ -55,6 +55,10 @@ def shade(
     up: Up = None,
     rotate: Rotate = 0.0,
     exposure: Exposure = 0.0,
+    tone_map: Annotated[
+        Literal["none", "agx"],
+        typer.Option(help="Of .png and animations: none clips bright light; agx, as in Blender, turns it white."),
+    ] = "none",
     reflection: Annotated[
         bool,
         typer.Option(
@@ -84,13 +88,15 @@ def shade(
     ] = "",
     error_picture: Annotated[
         Path | None,
-        optional_output("--error-picture", "E.png", "Also write the error of each pixel in false colours.", ".png"),
+        optional_output(
+            "--error-picture", "E.png", "Also write the error of each pixel in false colours, of the same size.", ".png"
+        ),
     ] = None,
     turntable: Annotated[
         Literal["eye", "light"] | None,
         typer.Option(
-            help="Move the eye or the light once around the object: an animation (.png, .webp, .gif), or numbered "
-            "pictures if the name has a number in it (turn_%03d.png).",
+            help="Move the eye or the light once around the object: an animation (.webp, .mp4, .gif, .png), or "
+            "numbered pictures if the name has a number in it (turn_%03d.png).",
             show_default=False,
         ),
     ] = None,
@@ -108,6 +114,10 @@ def shade(
     """
     _refuse_ineffective(output, transparent, layers, turntable, error_picture, reflection, roughness, normals)
     refuse_unseen_exposure(exposure, output)
+    if tone_map != "none" and output.suffix.lower() in (".exr", ".hdr"):
+        raise typer.BadParameter(
+            f"--tone-map: has no effect on {output.suffix.lower()}, which stores radiance; omit it"
+        )
     if turntable is None and (frames, seconds) != (_FRAMES, _SECONDS):
         raise typer.BadParameter("--frames and --seconds apply to turntables; add --turntable eye")
     check_outputs(
@@ -118,11 +128,13 @@ def shade(
     if error_picture is not None:
         require("--error-picture", "matplotlib")
     from formats.asset import read_asset
+    from formats.image.animation import refuse_unavailable
     from prt_bake.cli.shared.viewing import camera_for
     from prt_bake.lights.lighting import read_lighting
     from prt_bake.lights.skies.downsampled import rows_shown
     from prt_bake.shading.selftest import warn_of_failed_selftest
 
+    refuse_unavailable(output, size.width, size.height)
     baked = read_asset(asset)
     warn_of_failed_selftest(baked, asset)
     axis = up or baked.up
@@ -143,18 +155,24 @@ def shade(
         "suns": suns,
     }
     if turntable is None:
-        picture = _write_picture(output, baked, lighting, view, options, exposure)
+        picture = _write_picture(output, baked, lighting, view, options, exposure, tone_map)
     else:
-        picture = _write_turntable(output, baked, lighting, view, options, exposure, turntable, frames, seconds)
+        turn = turntable, frames, seconds
+        picture = _write_turntable(output, baked, lighting, view, options, exposure, tone_map, turn)
     if error_picture is not None:
         from prt_bake.shading.error_picture import write_error_picture
 
-        write_error_picture(error_picture, picture)
+        largest = write_error_picture(error_picture, picture)
     for remark in _remarks(baked, light, rotate, view.eye, picture, reflection):
         say(f"{asset}: {remark}")
     if picture.reflects and normals is None and baked.mesh.flat_shaded:
         say(f"{asset}: {FLAT_SHADED}")
     print(f"{output}: error {picture.errors}")
+    if error_picture is not None:
+        print(
+            f"{error_picture}: standard error of the bake and the noise at each pixel, from 0 (dark blue) to "
+            f"{largest:.1%} of its radiance (yellow)"
+        )
     print(
         f"{output}: {picture.shaded} vertices in {picture.seconds:.2f} s, clamped negative radiance "
         f"{abs(picture.clamped):.3%} of the energy" + _light_figures(baked, picture.suns, suns, bool(lighting.skies))
@@ -180,22 +198,27 @@ def _light_figures(baked: Any, count: int, treatment: str, beside_a_sky: bool) -
     return f", {count} {'sun' if count == 1 else 'suns'}{action}{lobes}"
 
 
-def _write_picture(output: Path, baked: Any, lighting: Any, view: Any, options: dict[str, Any], exposure: float) -> Any:
+def _write_picture(
+    output: Path, baked: Any, lighting: Any, view: Any, options: dict[str, Any], exposure: float, tone_map: str
+) -> Any:
     from formats.image import write_image
     from prt_bake.shading.picture import render_picture
+    from prt_bake.shading.tone_map import agx
 
     picture = render_picture(baked, lighting, view, **options)
+    alpha = None if options["background"] else picture.coverage
+    mapped = tone_map == "agx"
     write_image(
         output,
-        picture.image,
-        exposure=exposure,
+        agx(picture.image, exposure, alpha) if mapped else picture.image,
+        exposure=0.0 if mapped else exposure,
         layers={"error": picture.error, "coverage": picture.coverage, **picture.layers},
         attributes={
             "prtbake.shows": _shows(picture),
             "prtbake.error": "projection",
             "prtbake.picture_error": json.dumps(picture.errors and picture.errors.as_json()),
         },
-        alpha=None if options["background"] else picture.coverage,
+        alpha=alpha,
     )
     return picture
 
@@ -207,27 +230,29 @@ def _write_turntable(
     view: Any,
     options: dict[str, Any],
     exposure: float,
-    turning: Literal["eye", "light"],
-    frames: int,
-    seconds: float,
+    tone_map: str,
+    turn: tuple[Literal["eye", "light"], int, float],
 ) -> Any:
-    """Write a turntable and return its last picture."""
+    """Write a turntable, `turn` being what turns, the frames and the seconds, and return its last picture."""
     from formats.image.animation import write_animation, write_sequence
+    from prt_bake.shading.tone_map import agx
     from prt_bake.shading.turntable import turntable
 
     last: list[Any] = []
+    turning, frames, seconds = turn
+    stops = 0.0 if tone_map == "agx" else exposure
 
     def images(show: Report) -> Iterator[Any]:
         for number, picture in enumerate(turntable(baked, lighting, view, frames, turning, **options), start=1):
             last[:] = [picture]
             show(number / frames, f"{number} of {frames} pictures")
-            yield picture.image
+            yield agx(picture.image, exposure) if tone_map == "agx" else picture.image
 
     with reporting("turn") as show:
         if "%" in output.name:
-            write_sequence(output, images(show), exposure=exposure)
+            write_sequence(output, images(show), exposure=stops)
         else:
-            write_animation(output, images(show), exposure=exposure, seconds_a_frame=seconds / frames)
+            write_animation(output, images(show), exposure=stops, seconds_a_frame=seconds / frames)
     return last[0]
 
 
@@ -247,8 +272,8 @@ def _refuse_ineffective(
         raise typer.BadParameter(f"--output: {suffix} is for turntables; add --turntable eye, or write .png or .exr")
     if turntable is not None and "%" not in output.name and suffix not in ANIMATION_SUFFIXES:
         raise typer.BadParameter(
-            f"--output: a single {suffix} cannot store a turntable; write .webp, .gif, .png, or numbered pictures "
-            "(turn_%03d.exr)"
+            f"--output: a single {suffix} cannot store a turntable; write .webp, .mp4, .gif, .png, or numbered "
+            "pictures (turn_%03d.exr)"
         )
     if turntable is None and "%" in output.name:
         raise typer.BadParameter(f"--output: {output.name} names numbered pictures; add --turntable eye")

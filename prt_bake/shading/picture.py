@@ -123,6 +123,7 @@ def render_picture(
     sigma = radiance_error(asset, prepared.harmonics, outgoing, visible, prepared.suns)
     weights = corner_weights(asset, corners, points.barycentric)
     subsurface = np.einsum("nk,nkc->nc", weights, shading.radiance[corners])
+    shares = np.bincount(corners.ravel(), weights.ravel(), len(visible)).astype(np.float64)
     pixels = PixelMeans(points.pixels, camera, samples**2)
     coverage, picture = pixels.means(None), pixels.means(subsurface)
     bake_error = pixels.means(interpolate_over_faces(asset, weights, corners, sigma))
@@ -156,21 +157,23 @@ def render_picture(
         prepared.found,
         _errors(
             asset,
-            view_error(asset, light_weights, outgoing, visible, shading.radiance),
+            view_error(asset, light_weights, outgoing, shares, shading.radiance, sigma),
             _ratio(below, signal),
             _ratio(float((bake_error**2).sum()), signal),
             _ratio(float((noise**2).sum()), signal),
+            prepared.found > 0 or bool(lighting.suns),
         ),
     )
 
 
-def _errors(asset: Asset, views: float | None, subsurface: float, bake: float, noise: float) -> PictureError:
+def _errors(
+    asset: Asset, views: float | None, subsurface: float, bake: float, noise: float, suns: bool
+) -> PictureError:
     """The parts relative to the picture; `subsurface` is the rms of light from under the surface over that of all."""
     known = asset.error
     network = None if known.network is None else subsurface * known.network.value
-    return PictureError(
-        network, bake or None, None if views is None else subsurface * views, noise, path_traced=known.path_traced
-    )
+    views = None if views is None else subsurface * views
+    return PictureError(network, bake or None, views, noise, known.path_traced, suns)
 
 
 def _ratio(squares: float, signal: float) -> float:

@@ -30,6 +30,7 @@ class PictureError:
         views: of the interpolation between view bins.
         noise: of reflected rays; 0 without a reflection.
         path_traced: whether a scene was baked, without a network.
+        suns: whether the light has suns. They show detail beyond the coefficients, whose error is unknown.
 
     >>> print(PictureError(0.03, 0.021, 0.008, 0.0))
     about 3.7% (network 3.0%, bake 2.1%, views 0.8%, noise 0.0%)
@@ -42,6 +43,7 @@ class PictureError:
     views: float | None
     noise: float
     path_traced: bool = False
+    suns: bool = False
 
     @property
     def known(self) -> bool:
@@ -64,7 +66,8 @@ class PictureError:
     @property
     def _parts(self) -> dict[str, float | None]:
         network = {} if self.path_traced else {"network": self.network}
-        return {**network, "bake": self.bake, "views": self.views, "noise": self.noise}
+        parts = {**network, "bake": self.bake, "views": self.views, "noise": self.noise}
+        return parts | {"suns": None} if self.suns else parts
 
     def __str__(self) -> str:
         parts = [f"{name} {'unknown' if part is None else f'{part:.1%}'}" for name, part in self._parts.items()]
@@ -74,28 +77,31 @@ class PictureError:
         return f"{'about' if self.known else 'at least'} {self.total:.1%} ({inside})"
 
 
-def view_error(asset: Asset, weights: Array, eye: Any, visible: NDArray[np.bool_], radiance: Array) -> float | None:
-    """Relative RMSE of the radiance by the interpolation between view bins, at visible vertices; None if unknown.
+def view_error(asset: Asset, light: Array, eye: Any, shares: Array, radiance: Array, sigma: Array) -> float | None:
+    """Relative RMSE of the radiance by the interpolation between view bins; None if unknown.
 
-    weights: from `light_coefficients`; radiance [V,3]. Linear interpolation at the share t between two bins is off by
+    light: from `light_coefficients`; shares: of the vertices in the picture [V]; radiance and its standard error sigma
+    [V,3]. Linear interpolation at the share t between two bins is off by
     ½ t (1 − t) times the second difference of three bins, to leading order. Beyond the centre of the last ring the
     value is clamped, and compared with a parabola through three rings. Around the normal, see `_pole_error`. Fewer than
-    three rings or four sectors tell nothing. The interpolation of lobes is left out.
+    three rings or four sectors tell nothing. What differences of bins have of the bake's own error is subtracted. The
+    interpolation of lobes is left out.
     """
     if asset.coefficients.shape[1] == 1:
         return 0.0 if len(asset.directions) > 1 else None
     if asset.rings < 3 or asset.sectors < 4:
         return None
-    vertices = np.flatnonzero(asset.valid & visible)
+    vertices = np.flatnonzero(asset.valid & (shares > 0.0))
     vertices = vertices[:: max(1, len(vertices) // _MOST_VERTICES)]
-    signal = float((radiance[vertices] ** 2).sum())
+    share = shares[vertices][:, None]
+    signal = float((share * radiance[vertices] ** 2).sum())
     if signal <= 0.0:
         return None
     outgoing = eye_directions(asset, eye, vertices)
     at = bin_coordinates_at_vertices(asset, outgoing, vertices)
 
     def value(places: BinCoordinates, some: slice | NDArray[np.int64] = slice(None)) -> Array:
-        return reconstruct(asset.coefficients, vertices[some], places, asset.sectors, weights)
+        return reconstruct(asset.coefficients, vertices[some], places, asset.sectors, light)
 
     low, middle, high = (value(places) for places in _rings(at, asset.rings))
     before, here, after = (value(places) for places in _sectors(at, asset.sectors))
@@ -108,7 +114,21 @@ def view_error(asset: Asset, weights: Array, eye: Any, visible: NDArray[np.bool_
     polar = np.flatnonzero(at.pole_weight > 0.0)
     near = BinCoordinates._make(part[polar] for part in at)
     error[polar] += _pole_error(near, asset.sectors, lambda places: value(places, polar))
-    return math.sqrt(float((error**2).sum()) / signal)
+    noise = _noise_of_differences(asset, vertices, at) * sigma[vertices] ** 2
+    return math.sqrt(max(0.0, float((share * (error**2 - noise)).sum())) / signal)
+
+
+def _noise_of_differences(asset: Asset, vertices: NDArray[np.int64], at: BinCoordinates) -> Array:
+    """Variance [n,1] of the error from second differences, over that of the interpolated radiance.
+
+    Only what the errors of view bins do not have in common counts: a second difference has six times its variance.
+    """
+    if asset.error_covariance is None:
+        return np.zeros((len(vertices), 1))
+    independent = asset.error_covariance.at_vertices(vertices).apart[:, 0].astype(np.float64)
+    ring, sector = at.ring_weight * (1.0 - at.ring_weight), at.sector_weight * (1.0 - at.sector_weight)
+    averaged = 1.0 - independent * (1.0 - (1.0 - 2.0 * ring) * (1.0 - 2.0 * sector))
+    return np.asarray(1.5 * independent * (ring**2 + sector**2) / averaged)[:, None]
 
 
 def _pole_error(at: BinCoordinates, sectors: int, value: Callable[[BinCoordinates], Array]) -> Array:

@@ -231,6 +231,8 @@ def test_render_and_compare_with_itself(prtbake: Run, tmp_path: Path) -> None:
         (["--exposure", 1], "--exposure: has no effect on .exr, which"),
         (["--exposure", 1, "--preview", "p.hdr"], "--exposure: has no effect on .exr and .hdr, which"),
         (["--orthographic", "--fov", 50], "has no field of view"),
+        (["--normals", "face"], "--normals: applies to the reflection; add --reflection"),
+        (["--view", "left", "--eye", "0,0,5"], "--view: --eye places the camera; omit one of them"),
         # The exposure applies to the preview, so that only the field of view is wrong.
         (["--exposure", 1, "--preview", "p.png", "--extent", 3, "--fov", 50], "has no field of view"),
     ],

@@ -11,7 +11,7 @@ import typer
 from formats.errors import FormatError
 
 IMAGE_SUFFIXES = (".png", ".exr", ".hdr")
-ANIMATION_SUFFIXES = (".png", ".webp", ".gif")
+ANIMATION_SUFFIXES = (".png", ".webp", ".gif", ".mp4")
 USUAL_FOV = 30.0
 FLAT_SHADED = "its mesh file is flat shaded, so that reflections show its faces; --normals vertex smooths them"
 """The remark of commands that draw reflections."""
