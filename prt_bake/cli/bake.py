@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -17,6 +17,9 @@ from prt_bake.cli.shared.options import OnlyEye, ReportFile, Seed, output_option
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.plan import plan_lines
 from prt_bake.cli.shared.progress import bake_progress, reporting, say, stopping
+
+if TYPE_CHECKING:
+    from prt_bake.baking.bake import Progress
 
 OTHER_EFFORTS = "; --error, --minutes or --samples choose another"
 
@@ -159,7 +162,6 @@ def bake(
     assert output is not None
     if resume and not (journal := journal_folder(output)).is_dir():
         say(f"{journal}: there is no checkpoint to resume from; the bake starts from the beginning")
-    say(f"bakes {effort.sentence}" + OTHER_EFFORTS * effort.sentence.endswith("the default"))
     with reporting("bake", "pilot on a few vertices") as show, stopping() as stop:
         asset = baking.bake(
             transport,
@@ -170,7 +172,7 @@ def bake(
             minutes=minutes,
             out=output,
             scheduler=scheduler,
-            progress=bake_progress(show, effort.error),
+            progress=_saying(effort.sentence, bake_progress(show, effort.error)),
             stop=stop,
             resume=resume,
             **shared,
@@ -204,6 +206,20 @@ def bake(
             f"{written}: the bake was stopped before it was finished; the asset is complete, but coarser or without "
             f"lobes; the same command with --resume continues from {journal_folder(output).name} beside it"
         )
+
+
+def _saying(effort: str, progress: "Progress") -> "Progress":
+    """The progress callback, which first says what the bake does, once its arguments and files are in order."""
+    said = False
+
+    def report(done: int, total: int, status: Any) -> None:
+        nonlocal said
+        if not said:
+            said = True
+            say(f"bakes {effort}" + OTHER_EFFORTS * effort.endswith("the default"))
+        progress(done, total, status)
+
+    return report
 
 
 def _prunable_except(kept: list[str], items: tuple[str, ...]) -> list[str]:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from formats.asset import Asset
 from formats.errors import QueryError, refuse_path
 from formats.image.single import single_precision
+from formats.summary import summary
 from prt_bake.geometry.camera import Camera, Visibility, rays, refuse_eye_in_object
 from prt_bake.lights.lighting import Lighting, as_lighting
 from prt_bake.shading.asset_light import light_for
@@ -59,6 +60,8 @@ class Picture:
     layers: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     reflects: bool = False
     suns: int = 0
+
+    __repr__ = summary
 
 
 def render_picture(
