@@ -12,6 +12,7 @@ from formats.asset.error_covariance import ErrorCovariance
 from formats.asset.lobes import Lobes
 from formats.asset.total_error import ErrorInterval, TotalError
 from formats.mesh import Mesh
+from formats.summary import summary
 
 Storage = Literal["float16", "float32"]
 
@@ -55,6 +56,8 @@ class AssetHead:
     folded_in: str = FOLDED_IN
     left_out: list[dict[str, Any]] = field(default_factory=list)
     network_error: ErrorInterval | None = None
+
+    __repr__ = summary
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,3 +173,5 @@ class Asset(AssetHead):
         """Close the file of the coefficients if they are an open dataset; otherwise do nothing."""
         if hasattr(self.coefficients, "file"):
             self.coefficients.file.close()
+
+    __repr__ = summary

@@ -19,6 +19,7 @@ from formats.asset import Asset
 from formats.atomic import refuse_unwritable
 from formats.errors import QueryError, refuse_path
 from formats.mesh import Mesh
+from formats.scene import Scene
 from prt_bake.baking.adaptive.run import Run, bake_to_error
 from prt_bake.baking.fixed_samples import bake_by_samples
 from prt_bake.baking.job.arguments import as_light, as_point, refuse_unusable
@@ -32,6 +33,7 @@ from prt_bake.baking.lobes.in_bake import counting_lobes, plan_lobes_of_bake
 from prt_bake.baking.output.checkpoint_store import CheckpointStore, open_checkpoint_store
 from prt_bake.baking.output.pruned_sink import WronglyPruned
 from prt_bake.baking.output.sink import asset_head
+from prt_bake.baking.path_traced import PathTraced
 from prt_bake.baking.plan import plan
 from prt_bake.baking.pruning.pruning import ITEMS, choose_pruning
 from prt_bake.jit.limits import limited_threads
@@ -73,9 +75,10 @@ def bake(
     """Bakes `transport` at every vertex of `mesh` and at rings × sectors view bins.
 
     Args:
-        transport: offers evaluate, evaluate_block or estimate_coefficients (`bakers.transport`). It gets NumPy arrays
-            and may return NumPy arrays or torch tensors.
-        mesh: in the transport's object space.
+        transport: a network, a scene, which is path traced, or an object that offers evaluate, evaluate_block or
+            estimate_coefficients (`bakers.transport`). It gets NumPy arrays and may return NumPy arrays or torch
+            tensors.
+        mesh: in the transport's object space; a trimesh mesh too.
         degree: of the spherical harmonics, K = (degree + 1)².
         rings, sectors: view bins of the hemisphere about each vertex normal.
         directions: "fibonacci" (fitted by least squares), "sobol" or "uniform" (summed with equal weights).
@@ -142,6 +145,8 @@ def bake(
     began = time.monotonic()
     refuse_path("transport", transport, "prt.load_model")
     refuse_path("mesh", mesh, "prt.read_mesh")
+    if isinstance(transport, Scene):
+        transport = PathTraced(transport)
     refuse_unusable(
         mesh, degree=degree, rings=rings, sectors=sectors, samples=samples, error=error, minutes=minutes, seed=seed,
         workers=workers, leave_out=leave_out, lobes=lobes, directions=directions, precision=precision, storage=storage,

@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -19,6 +19,9 @@ from prt_bake.cli.shared.options import Force, OnlyEye, ReportFile, Seed, output
 from prt_bake.cli.shared.outputs import check_outputs, refuse_existing
 from prt_bake.cli.shared.plan import plan_lines
 from prt_bake.cli.shared.progress import bake_progress, reporting, say, stopping
+
+if TYPE_CHECKING:
+    from prt_bake.baking.bake import Progress
 
 OTHER_EFFORTS = "; --error, --minutes or --samples choose another"
 
@@ -165,7 +168,6 @@ def bake(
     assert output is not None
     if resume and not (journal := journal_folder(output)).is_dir():
         say(f"{journal}: there is no checkpoint to resume from; the bake starts from the beginning")
-    say(f"bakes {effort.sentence}" + OTHER_EFFORTS * effort.sentence.endswith("the default"))
     with reporting("bake", "pilot on a few vertices") as show, stopping() as stop:
         asset = baking.bake(
             transport,
@@ -176,7 +178,7 @@ def bake(
             minutes=minutes,
             out=output,
             scheduler=scheduler,
-            progress=bake_progress(show, effort.error),
+            progress=_saying(effort.sentence, bake_progress(show, effort.error)),
             stop=stop,
             resume=resume,
             **shared,
@@ -220,6 +222,20 @@ def _refuse_existing(output: Path, force: bool, resume: bool) -> None:
     journal = journal_folder(output)
     unfinished = any(journal.glob("*.npz"))
     refuse_existing([output, *([journal] if unfinished else [])], force, resume if unfinished else None)
+
+
+def _saying(effort: str, progress: "Progress") -> "Progress":
+    """The progress callback, which first says what the bake does, once its arguments and files are in order."""
+    said = False
+
+    def report(done: int, total: int, status: Any) -> None:
+        nonlocal said
+        if not said:
+            said = True
+            say(f"bakes {effort}" + OTHER_EFFORTS * effort.endswith("the default"))
+        progress(done, total, status)
+
+    return report
 
 
 def _prunable_except(kept: list[str], items: tuple[str, ...]) -> list[str]:

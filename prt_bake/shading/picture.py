@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from formats.asset import Asset
 from formats.errors import QueryError, refuse_path
 from formats.image.single import single_precision
+from formats.summary import summary
 from prt_bake.geometry.camera import Camera, Visibility, rays, refuse_eye_in_object
 from prt_bake.lights.lighting import Lighting, as_lighting
 from prt_bake.reflection.finish import Normals
@@ -63,6 +64,8 @@ class Picture:
     reflects: bool = False
     suns: int = 0
     errors: PictureError | None = None
+
+    __repr__ = summary
 
 
 def render_picture(
