@@ -89,7 +89,7 @@ def train(
     budget = Budget(minutes, began, report=with_report, importance=with_importance) if steps is None else None
     with stopping() as stop:
         stop.at_once = True
-        with reporting("train") as show:
+        with reporting("train", "loading") as show:
 
             def part(name: str, share: float) -> None:
                 # Only learning has something to finish: a step, and the model.

@@ -33,7 +33,7 @@ _LEARNING = 0.5
 _LEAST_LEARNING = 0.25
 """Share of the time that learning gets at least."""
 _LATE = 0.5
-"""Share of its own time that a part gets when earlier parts took too long."""
+"""Share of its own time below which a part is left out, because earlier parts took too long."""
 _SLOWEST = 3.0
 
 
@@ -56,6 +56,8 @@ class Budget:
         self.began = time.perf_counter() if began is None else began
         self.earlier = 0.0
         """Seconds of earlier runs, which a resumed run continues."""
+        self.extension = 0.0
+        """Seconds that are added because kernels were compiled."""
         self._cpu = time.process_time()
         self._compilation: Any = None
         self._chosen = (1, report, importance)
@@ -78,7 +80,7 @@ class Budget:
     @property
     def left(self) -> float:
         """Seconds until the end of the run."""
-        return max(0.0, self.total - self.spent)
+        return max(0.0, self.total + self.extension - self.spent)
 
     @contextmanager
     def counting_compilation(self) -> Iterator[None]:
@@ -97,7 +99,7 @@ class Budget:
     @property
     def share(self) -> float:
         """The share of the time that is over."""
-        return min(1.0, self.spent / self.total)
+        return min(1.0, self.spent / (self.total + self.extension))
 
     @property
     def validation(self) -> float:
@@ -110,8 +112,10 @@ class Budget:
         The parts after it get more time where other programs have slowed down the parts before it.
         """
         self._divide()
-        left = self.left - self._figures - self._report - self._importance
+        after = self._figures + self._report + self._importance
+        left = self.total + self.extension - self.spent - after
         kept = min(left + self.compiling, _LEARNING * self.total - learned)
+        self.extension += max(0.0, kept - left)
         return max(left, kept, _LEAST_LEARNING * self.total - learned, 0.0)
 
     def figures(self) -> float:
@@ -119,9 +123,13 @@ class Budget:
         return max(self.left - self._report - self._importance, _LATE * self._figures)
 
     def report(self, importance: bool = True) -> float:
-        """Seconds for the report, from now; `importance`: whether the importance module still follows."""
-        return max(self.left - (self._importance if importance else 0.0), _LATE * self._report)
+        """Seconds for the report, from now; 0 if they are too few because earlier parts took too long.
+
+        importance: whether the importance module still follows.
+        """
+        left = self.left - (self._importance if importance else 0.0)
+        return left if left >= _LATE * self._report else 0.0
 
     def importance(self) -> float:
-        """Seconds for the importance module, from now."""
-        return max(self.left, _LATE * self._importance)
+        """Seconds for the importance module, from now; 0 if they are too few."""
+        return self.left if self.left >= _LATE * self._importance else 0.0

@@ -253,6 +253,8 @@ class _Run:
             with self.learner.stream():
                 self._learn(self.source, prefetcher, steps, output, progress, stop)
         except KeyboardInterrupt:
+            if self.learner.step == 0:
+                raise
             self.stopped = True
         finally:
             self.source.stop()

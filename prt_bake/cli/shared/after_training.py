@@ -29,6 +29,10 @@ def report(
     from prt_bake.trainer.report.summary import criterion_line
 
     again = f"run 'prtbake report training {model} {scene.path}'"
+    within = None if budget is None else budget.report(module)
+    if within == 0.0:
+        say(f"no report: no time is left for it; to write it later, {again}")
+        return False
     with reporting("report") as show:
 
         def follow(share: float) -> None:
@@ -40,7 +44,7 @@ def report(
                 scene,
                 model,
                 seconds=_seconds(network, "report"),
-                within=None if budget is None else budget.report(module),
+                within=within,
                 seed=seed,
                 follow=follow,
             )
@@ -67,12 +71,17 @@ def importance(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int, 
     if own_lobes(network) is not None:
         say("no importance module: `prtbake render` samples the lobes of the network")
         return
+    again = f"to fit it later, run 'prtbake importance {model} {scene.mesh_path}'"
+    seconds = _seconds(network, "importance") if budget is None else budget.importance()
+    if seconds == 0.0:
+        say(f"no importance module: no time is left for it; {again}")
+        return
     with reporting("importance") as show:
         try:
             module = fit_importance(
                 network.cpu(),
                 scene.mesh,
-                seconds=_seconds(network, "importance") if budget is None else budget.importance(),
+                seconds=seconds,
                 seed=seed,
                 settings=replace(IMPORTANCE_PRESETS["measured"], seed=seed),
                 progress=lambda share, text: show_part(show, text, share, budget),
@@ -82,7 +91,7 @@ def importance(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int, 
             say(f"no importance module: {error}")
             return
         except KeyboardInterrupt:
-            say(f"no importance module: stopped; to fit it later, run 'prtbake importance {model} {scene.mesh_path}'")
+            say(f"no importance module: stopped; {again}")
             raise
     fit = module.metadata["fit"]
     print(

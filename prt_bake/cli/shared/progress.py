@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 PLAIN_INTERVAL = 5.0
 """Seconds between two lines if stderr is not a terminal."""
 
-_BAR, _LEAST_BAR, _BESIDE_BAR, _WIDE = 40, 10, 50, 130
-"""Widths in characters: of the bar, of the narrowest one, of what stands beside it, and of a terminal with details."""
+_BAR, _LEAST_BAR, _BESIDE_BAR = 40, 10, 68
+"""Widths in characters: of the bar, of the narrowest one, and of what stands beside it."""
 
 NEARLY = 0.99
 """Largest share that a bake shows before its end: another pass may follow, and the asset is not yet written."""
@@ -28,7 +28,7 @@ class Report(Protocol):
     def __call__(self, share: float | None, text: str, left: float | None = None, details: str = "") -> None:
         """share: done, in [0, 1], or None if unknown. left: remaining seconds; by default extrapolated.
 
-        details: shown on wide terminals only.
+        details: shown on terminals that are wide enough.
         """
 
 
@@ -77,10 +77,10 @@ def reporting(label: str, first: str = "") -> Iterator[Report]:
             percent = "" if share is None else f"{share:.0%}"
             remaining = "" if seconds is None else f"{as_clock(seconds)} left"
             line = " · ".join(part for part in (percent, remaining, text) if part)
-            if details and console.width >= _WIDE:
-                line = f"{line} · {details}"
             room = console.width - len(label) - 2 - (bar + 1 if bar >= _LEAST_BAR else 0)
-            progress.update(number, line=line if len(line) <= room else f"{line[: max(room, 1) - 1]}…")
+            detailed = f"{line} · {details}"
+            shown = line if len(line) <= room else f"{line[: max(room, 1) - 1]}…"
+            progress.update(number, line=detailed if details and len(detailed) <= room else shown)
             # A report without text is the last one; the command's output follows it.
             if plain and text and time.monotonic() - last_line >= PLAIN_INTERVAL:
                 last_line = time.monotonic()

@@ -11,7 +11,7 @@ LEVELS = (
 )
 """Largest relative RMSE of a_lm for each use: pictures under a sky are off by about half of it (docs/training.md)."""
 _POOR = "a rough impression"
-_EXPONENT, _LATE_EXPONENT = 0.2, 0.13
+_EXPONENT, _LATE_EXPONENT = 0.16, 0.1
 """The error falls as minutes to the minus this power, on the scenes of docs/training.md, first and after `_MANY`."""
 _MANY = 5e7
 """Walks."""
