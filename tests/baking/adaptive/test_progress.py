@@ -75,11 +75,11 @@ def test_the_time_left_is_extrapolated_from_the_first_share_on(
             show(share, "done")
     lines = capsys.readouterr().err.splitlines()
     assert lines == [
-        "render: 0% begun",
-        "render: 50% done",
-        "render: 56% done, 14 s left",
-        "render: 62% done, 12 s left",
-        "render: 75% done, 8 s left",
+        "render  0% · begun",
+        "render  50% · done",
+        "render  56% · 0:14 left · done",
+        "render  62% · 0:12 left · done",
+        "render  75% · 0:08 left · done",
     ]
 
 
@@ -91,4 +91,4 @@ def test_lines_without_a_share_have_no_percentage(
         show(None, "3 of 9 vertices")
         show(0.25, "4 of 9 vertices", 30.0)
         show(1.0, "")
-    assert capsys.readouterr().err == "bake: 3 of 9 vertices\nbake: 25% 4 of 9 vertices, 30 s left\n"
+    assert capsys.readouterr().err == "bake  3 of 9 vertices\nbake  25% · 0:30 left · 4 of 9 vertices\n"

@@ -94,18 +94,23 @@ def test_pictures_depend_on_the_seed_alone(scene, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("flip", "without", "noise", "expected"),
-    [
-        (0.9 * FLIP, 0.5 * FLIP, 0.3 * FLIP, "met"),
-        (1.4 * FLIP, 1.2 * FLIP, 0.6 * FLIP, "not met"),
-        (1.4 * FLIP, 0.8 * FLIP, 0.9 * FLIP, "undecided"),
-        (1.4 * FLIP, 1.2 * FLIP, 1.1 * FLIP, "undecided"),
-    ],
+    ("flip", "without", "expected"),
+    [(0.9, 0.5, "met"), (1.4, 1.2, "not met"), (1.5, 0.9, "undecided"), (1.0, 1.0, "met"), (1.01, 1.01, "not met")],
 )
-def test_the_verdict_is_undecided_if_noise_dominates(flip, without, noise, expected):
-    row = picture_criterion({"sun": "behind", "flip": flip, "flip_without_noise": without, "flip_of_noise": noise})
+def test_the_interval_of_flip_contains_its_value_and_decides(flip, without, expected):
+    row = picture_criterion({"sun": "behind", "flip": flip * FLIP, "flip_without_noise": without * FLIP})
+    assert row["low"] <= row["value"] == without * FLIP <= row["high"]
     assert row["verdict"] == expected
-    assert row["bound"] == FLIP == 0.05
+    if without < flip:
+        assert row["low"] < row["value"] < row["high"] < flip * FLIP
+
+
+def test_flip_of_noise_alone_may_be_nothing():
+    """FLIP of noise grows as the 0.35th power of its variance: doubled noise has 1.275 times the FLIP."""
+    doubled = 2.0**0.35
+    row = picture_criterion({"sun": "behind", "flip": 1.0, "flip_without_noise": np.sqrt(2.0 - doubled**2)})
+    assert row["low"] == pytest.approx(0.0, abs=1e-4)
+    assert row["verdict"] == "undecided"
 
 
 def test_a_black_object_has_no_picture(tmp_path):
