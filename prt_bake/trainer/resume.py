@@ -1,6 +1,7 @@
 """Checkpoints of training runs: `NAME.train.pt` beside the model, made of tensors and plain values only."""
 
 import io
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,16 @@ def write_state(output: str | Path, state: dict[str, Any]) -> None:
     torch.save({"version": _VERSION, **state}, content)
     with replacing(state_path(output)) as part:
         part.write_bytes(content.getvalue())
+
+
+def seconds_of(output: str | Path) -> float:
+    """Wall time of the runs that a checkpoint continues; 0 if it cannot be read, which `read_state` then says."""
+    import torch
+
+    with suppress(Exception):
+        state = torch.load(state_path(output), map_location="cpu", weights_only=True)
+        return float(state.get("spent", state["seconds"]))
+    return 0.0
 
 
 def read_state(output: str | Path, scene_hash: str, settings: dict[str, Any]) -> dict[str, Any]:

@@ -32,7 +32,7 @@ from prt_bake.trainer.interior import interior_of, is_clear, with_fitting_grid
 from prt_bake.trainer.learner import Learner, LearningSettings
 from prt_bake.trainer.offline import SampleFileData
 from prt_bake.trainer.prefetch import Prefetcher
-from prt_bake.trainer.resume import read_state, require_state, write_state
+from prt_bake.trainer.resume import read_state, require_state, seconds_of, write_state
 from prt_bake.trainer.samples.rows import RowSource, StreamSettings
 from prt_bake.trainer.scene_warnings import training_warning
 from prt_bake.trainer.training_data import PathTracedData, TrainingData, box_of, learning_for, stream_for
@@ -117,6 +117,8 @@ def train(
         require_state(output)
     report, follow = say or (lambda sentence: None), part or (lambda name, share: None)
     timed = (budget or Budget(minutes)) if steps is None else None
+    if timed is not None and resume and output is not None:
+        timed.earlier = seconds_of(output)
     chosen = select_device(device)
     if warning := training_warning(scene):
         report(f"{scene.path}: {warning}")
@@ -214,8 +216,6 @@ class _Run:
         self.generator.bit_generator.state = json.loads(state["generator"])
         self.seconds, self.source_state = float(state["seconds"]), dict(state["source"])
         self.history = [TrainingProgress(**report) for report in state["history"]]
-        if self.budget is not None:
-            self.budget.earlier = float(state.get("spent", self.seconds))
 
     def nothing_left(self, steps: int | None) -> bool:
         """Whether a resumed run had the requested length."""

@@ -8,9 +8,9 @@ LEVELS = (
     (0.05, "good for final pictures"),
     (0.10, "good for previews and real-time use"),
     (0.20, "good for a first look"),
+    (math.inf, "a rough impression"),
 )
 """Largest relative RMSE of a_lm for each use: pictures under a sky are off by about half of it (docs/training.md)."""
-_POOR = "a rough impression"
 _EXPONENT, _LATE_EXPONENT = 0.16, 0.1
 """The error falls as minutes to the minus this power, on the scenes of docs/training.md, first and after `_MANY`."""
 _MANY = 5e7
@@ -28,8 +28,13 @@ def verdict(error: Interval, minutes: float, walks: float) -> str:
     if not math.isfinite(error.value):
         return "the error of a_lm is unknown: the reference is no brighter than its noise"
     interval = "" if not math.isfinite(error.low) else f" ({100 * error.low:.1f} to {100 * error.high:.1f})"
-    use = next((words for most, words in LEVELS if error.value <= most), _POOR)
-    return f"a_lm is {100 * error.value:.1f} % off{interval}: {use}{_outlook(error.value, minutes, walks)}"
+    use, worst = _use(error.value), _use(error.high)
+    doubt = f", or only {worst}" if worst not in ("", use) else ""
+    return f"a_lm is {100 * error.value:.1f} % off{interval}: {use}{doubt}{_outlook(error.value, minutes, walks)}"
+
+
+def _use(error: float) -> str:
+    return next((words for most, words in LEVELS if error <= most), "")
 
 
 def _outlook(error: float, minutes: float, walks: float) -> str:

@@ -14,6 +14,13 @@ def test_an_error_has_a_use(error: float, words: str) -> None:
     assert text.startswith(f"a_lm is {100 * error:.1f} % off ({90 * error:.1f} to {110 * error:.1f}): {words}; ")
 
 
+def test_a_wide_interval_leaves_doubt() -> None:
+    text = verdict(Interval(0.088, 0.0, 0.17), 2.0, 1e6)
+    assert "(0.0 to 17.0): good for previews and real-time use, or only good for a first look; " in text
+    assert "good for a first look, or only a rough impression" in verdict(Interval(0.15, 0.1, 0.3), 2.0, 1e6)
+    assert "or only" not in verdict(Interval(0.4, 0.3, 0.5), 2.0, 1e6)
+
+
 def test_more_time_brings_less_the_longer_a_training_was() -> None:
     """By the exponents of docs/training.md: dragon's stand-in went from 10.7 % after 2 minutes to 8.4 % after 10."""
     assert "ten minutes more would bring about 8 % (extrapolated)" in verdict(Interval(0.107, 0.1, 0.11), 2.0, 5.8e6)
