@@ -100,6 +100,7 @@ def view(
             raise QueryError(f"view: {_WITHOUT_DISPLAY}")
         canvas.open()
         opened = _open(reading.result(), options, screenshot is not None)
+    print(f"{asset}: error of the coefficients {opened.preview.asset.error}")
     for remark in _remarks(opened.preview):
         say(f"{asset}: {remark}")
     _show(window, canvas, opened, asset.name, screenshot, compare)
