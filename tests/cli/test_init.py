@@ -27,6 +27,9 @@ def meshes(tmp_path_factory):
     )
     write_mesh(build_mesh(surface.positions, surface.faces[:-2]), folder / "open.ply")
     write_mesh(flipped(surface), folder / "inverted.ply")
+    turned = surface.faces[:-2].copy()
+    turned[0] = turned[0, ::-1]
+    write_mesh(build_mesh(surface.positions, turned), folder / "torn.ply")
     return folder
 
 
@@ -101,6 +104,9 @@ def test_faulty_meshes_are_refused_with_their_fault(init, tmp_path):
     code, _, err = init("open.ply", "--material", "wax")
     assert code == 1
     assert "open.ply: 4 edges are open" in err
+    code, _, err = init("torn.ply", "--material", "wax")
+    assert code == 1
+    assert err.endswith(" (and 1 more: `prtbake check` lists them)\n")
     code, _, err = init("inverted.ply", "--material", "wax")
     assert code == 1
     assert "inverted.ply: the faces are wound inside out; flip the normals" in err
