@@ -83,7 +83,7 @@ def requires_matplotlib(task: str) -> Iterator[None]:
     try:
         yield
     except ImportError:
-        raise PrtbakeError(f"{task}: matplotlib is not installed; install prt-bake[evaluate]") from None
+        raise PrtbakeError(f"{task}: matplotlib is not installed; pip install matplotlib") from None
 
 
 def warn(sentence: str) -> None:

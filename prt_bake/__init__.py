@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from formats.asset import Asset, read_asset, write_asset
     from formats.errors import PrtbakeError
-    from formats.image import read_image, read_layers, write_image
+    from formats.image import read_image, read_layers, srgb, write_image
     from formats.mesh import Mesh, read_mesh, write_mesh
     from formats.scene import Scene
     from formats.scene import read_scene as load_scene
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from prt_bake.shading.frames.frames import Frames
     from prt_bake.shading.picture import render_picture, shade
     from prt_bake.shading.sun_shading import suns_apart
+    from prt_bake.shipped.examples import example
     from prt_bake.tracer.estimate import estimate_coefficients, estimate_transport
     from prt_bake.trainer.train import train
 
@@ -55,6 +56,7 @@ __all__ = [
     "compress",
     "estimate_coefficients",
     "estimate_transport",
+    "example",
     "fit_camera",
     "light_for",
     "load_model",
@@ -75,6 +77,7 @@ __all__ = [
     "sh",
     "shade",
     "sphere",
+    "srgb",
     "suns_apart",
     "train",
     "unpacked",
@@ -99,6 +102,7 @@ _ORIGIN = {
     "compress": ("prt_bake.baking.compress", "compress"),
     "estimate_coefficients": ("prt_bake.tracer.estimate", "estimate_coefficients"),
     "estimate_transport": ("prt_bake.tracer.estimate", "estimate_transport"),
+    "example": ("prt_bake.shipped.examples", "example"),
     "fit_camera": ("prt_bake.geometry.camera", "fit"),
     "light_for": ("prt_bake.shading.asset_light", "light_for"),
     "load_model": ("prt_bake.network.bssrdf", "load_model"),
@@ -119,6 +123,7 @@ _ORIGIN = {
     "sh": ("prt_bake.mathematics.sh", ""),
     "shade": ("prt_bake.shading.picture", "shade"),
     "sphere": ("prt_bake.mathematics.sphere", ""),
+    "srgb": ("formats.image", "srgb"),
     "suns_apart": ("prt_bake.shading.sun_shading", "suns_apart"),
     "train": ("prt_bake.trainer.train", "train"),
     "unpacked": ("prt_bake.baking.compress", "unpacked"),
@@ -130,11 +135,17 @@ _ORIGIN = {
 
 def __getattr__(name: str) -> object:
     """Import a public name on first use and store it, so that later look-ups are ordinary ones."""
+    if name == "__version__":
+        from formats.version import program_version
+
+        return program_version()
     if name not in _ORIGIN:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from prt_bake.face.public import public
+
     module_name, attribute = _ORIGIN[name]
     module = import_module(module_name)
-    value: object = getattr(module, attribute) if attribute else module
+    value: object = public(name, getattr(module, attribute) if attribute else module)
     globals()[name] = value
     return value
 

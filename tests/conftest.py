@@ -16,6 +16,7 @@ from formats.image import write_image
 from formats.mesh import build_mesh, write_mesh
 from prt_bake.cli.main import main
 from prt_bake.cli.shared import progress
+from prt_bake.jit import notice
 from tests import ROOT
 from tests.cli.command_line import SCENE, Outcome, Run
 
@@ -63,6 +64,8 @@ def prtbake(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
     monkeypatch.chdir(folder)
     # Progress lines depend on the speed of the machine.
     monkeypatch.setattr(progress, "PLAIN_INTERVAL", math.inf)
+    # Whether kernels are compiled depends on earlier runs.
+    monkeypatch.setattr(notice, "said", True)
     return run
 
 

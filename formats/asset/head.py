@@ -2,7 +2,6 @@
 
 import datetime
 import hashlib
-import importlib.metadata
 import json
 from typing import Any
 
@@ -13,6 +12,7 @@ from formats.asset.lobes import FORMAT_VERSION
 from formats.asset.record import AssetHead
 from formats.asset.total_error import ATTRIBUTE as NETWORK_ERROR
 from formats.hdf5_file import attribute
+from formats.version import program_version
 
 FORMAT = "prtbake"
 FORMULAS = {
@@ -70,6 +70,8 @@ def _write_mesh(group: Any, head: AssetHead) -> None:
         group.create_dataset("uv", data=_as(mesh.uv, "<f4"))
     if mesh.source_vertex is not None:
         group.create_dataset("source_vertex", data=_as(mesh.source_vertex, "<i4"))
+    if mesh.flat_shaded:
+        group.attrs["flat_shaded"] = np.uint8(1)
     group.attrs["sha256"] = mesh_digest(group)
 
 
@@ -89,11 +91,3 @@ def mesh_origin(group: Any) -> Any:
 
 def _as(values: NDArray[Any], kind: str) -> NDArray[Any]:
     return np.ascontiguousarray(values, kind)
-
-
-def program_version() -> str:
-    """Return the version of the installed package, or "unknown"."""
-    try:
-        return importlib.metadata.version("prt-bake")
-    except importlib.metadata.PackageNotFoundError:
-        return "unknown"

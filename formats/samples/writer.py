@@ -12,12 +12,12 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike
 
-from formats.asset.head import program_version
 from formats.atomic import replacing
 from formats.errors import SamplesError
 from formats.hdf5_sink import Sink
 from formats.interrupts import deferred
 from formats.samples.reader import DATASETS, FORMAT, FORMAT_VERSION, SamplesHead
+from formats.version import program_version
 
 _CHUNK_BYTES = 2**20
 

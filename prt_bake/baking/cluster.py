@@ -133,7 +133,7 @@ def open_cluster(address: str, exclusive: bool) -> Iterator[Cluster]:
         from distributed import Client
     except ImportError:
         raise ClusterError(
-            "--scheduler: dask.distributed is not installed; install prt-bake[cluster], here and on the workers"
+            "--scheduler: dask.distributed is not installed; pip install 'dask[distributed]', here and on the workers"
         ) from None
 
     quiet = {"distributed.admin.large-graph-warning-threshold": sys.maxsize}

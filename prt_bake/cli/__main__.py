@@ -3,13 +3,14 @@
 import signal
 import sys
 
+from prt_bake.cli.shared import signals
+
 
 def run() -> None:
     """Run the command line. After Ctrl-C, errors of libraries whose import it broke off are not shown."""
-    received: list[int] = []
 
     def interrupt(number: int, _: object) -> None:
-        received.append(number)
+        signals.record(number)
         raise KeyboardInterrupt
 
     signal.signal(signal.SIGINT, interrupt)
@@ -18,10 +19,10 @@ def run() -> None:
 
         code = main()
     except BaseException:
-        if not received:
+        if not signals.exit_code(0):
             raise
         print("prtbake: stopped by Ctrl-C before it was finished", file=sys.stderr)
-        code = 1
+        code = signals.exit_code(1)
     sys.exit(code)
 
 

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from formats.errors import FormatError
+from prt_bake.cli.shared.next_step import say_next
 
 
 def check(
@@ -16,7 +17,7 @@ def check(
     Prints one line per fault; the exit code is 1 if there is any. Remarks name what is allowed but probably unintended,
     and leave the exit code 0.
     """
-    from prt_bake.inspection.files import find_faults, find_remarks
+    from prt_bake.inspection.files import find_faults, find_remarks, kind_of
 
     faults = find_faults(file)
     for fault in faults:
@@ -26,3 +27,5 @@ def check(
     for remark in find_remarks(file):
         print(f"remark: {remark}")
     print(f"{file}: sound")
+    if kind_of(file) == "scene":
+        say_next("prtbake", "train", file, "-o", file.with_suffix(".pt").name)

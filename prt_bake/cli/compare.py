@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from formats.extras import require
 from prt_bake.cli.shared.bounds import Bounds, FailAbove, FailBelow
+from prt_bake.cli.shared.kinds import refuse_other_kinds
 from prt_bake.cli.shared.options import AsJson, Exposure, optional_output
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
@@ -88,6 +90,9 @@ def compare(
     outputs = {"--picture": picture, "--difference-map": difference_map}
     outputs |= {"--flip-map": flip_map, "--hdr-flip-map": hdr_flip_map}
     check_outputs(outputs, {"IMAGE": image, "REFERENCE": reference, "--mask": mask})
+    refuse_other_kinds({"IMAGE": (image, ("sky",)), "REFERENCE": (reference, ("sky",)), "--mask": (mask, ("sky",))})
+    plotted = ("matplotlib",) if any(outputs.values()) else ()
+    require("compare", "skimage", "flip_evaluator", *plotted)
     from formats.image import read_layers
     from formats.json_report import as_text
     from prt_bake.comparison import sheet

@@ -6,8 +6,10 @@ from typing import Annotated
 import typer
 
 from formats.atomic import existing
-from prt_bake.cli.shared.options import optional_output
-from prt_bake.cli.shared.outputs import check_outputs
+from prt_bake.cli.shared.kinds import refuse_other_kinds
+from prt_bake.cli.shared.next_step import say_next_of_asset
+from prt_bake.cli.shared.options import Force, optional_output
+from prt_bake.cli.shared.outputs import check_outputs, refuse_existing
 from prt_bake.cli.shared.progress import reporting, say
 
 
@@ -24,6 +26,7 @@ def compress(
         ),
     ] = None,
     lobes: Annotated[bool, typer.Option(help="Keep the lobes, rounded within twice --error.")] = True,
+    force: Force = False,
 ) -> None:
     """Compress an asset within an error.
 
@@ -32,6 +35,8 @@ def compress(
     """
     target = out or asset.with_name(f"{asset.stem}.compact{asset.suffix}")
     check_outputs({"--output": target}, {"ASSET": existing(asset)})
+    refuse_existing([target], force)
+    refuse_other_kinds({"ASSET": (asset, ("asset",))})
     from prt_bake.baking.compress import compress_file
 
     with reporting("compress") as show:
@@ -40,13 +45,16 @@ def compress(
         say(f"{asset}: no compact form is smaller; {target} is a copy")
         print(f"{target}: {outcome.after:,} bytes of coefficients in {outcome.seconds:.1f} s")
         return
-    for row in outcome.asset.provenance["compression"]["tried"]:
-        print(f"  {row['form']:<24} {row['size']:>13,} bytes  error {row['error']:.3%}  {row['seconds']:.1f} s")
+    tried = outcome.asset.provenance["compression"]["tried"]
+    for line in dict.fromkeys(f"{row['form']:<24} {row['size']:>13,} bytes  error {row['error']:.3%}" for row in tried):
+        print(f"  {line}")
     added = outcome.compact.added
+    before, after = asset.stat().st_size, target.stat().st_size
     print(
-        f"{target}: {outcome.after:,} bytes of coefficients, 1/{outcome.raw / outcome.after:.1f} of {outcome.raw:,} in "
-        f"float32 ({outcome.before:,} in {asset.name}), in {outcome.seconds:.1f} s"
+        f"{target}: {after:,} bytes, 1/{before / after:.1f} of the {before:,} of {asset.name}, "
+        f"in {outcome.seconds:.1f} s"
     )
+    print(f"coefficients {outcome.after:,} bytes, in {asset.name} {outcome.before:,}")
     print(
         f"added relative RMSE {added.total:.3%} (at most {added.requested:.3%} requested), 95th percentile over "
         f"vertices {added.percentile_95:.3%}, worst {added.worst:.3%}"
@@ -54,4 +62,4 @@ def compress(
     rounding = outcome.asset.provenance["compression"].get("lobes_error")
     if rounding is not None:
         print(f"rounding the lobes adds {rounding:.3%}; --no-lobes omits them")
-    print(f"{target}: {target.stat().st_size:,} bytes in all")
+    say_next_of_asset(target)

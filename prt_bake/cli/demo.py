@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 import typer
 
 from formats.errors import PrtbakeError
+from formats.extras import EVALUATE, require
+from prt_bake.cli.shared.next_step import say_next_of_asset
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import bake_progress, reporting, stopping
 
@@ -24,6 +26,7 @@ def demo(
 
     The error is that of the picture, compared with a path-traced reference.
     """
+    require("demo", *EVALUATE)
     from prt_bake.shipped import demonstration as shipped
 
     inputs = (shipped.MODEL, shipped.MESH, shipped.SKY, shipped.REFERENCE, shipped.REFERENCE_REPORT)
@@ -48,3 +51,4 @@ def demo(
     print(f"noise of the reference: MSE {result.noise_mse:.3g} on the object")
     if not result.asset.complete:
         raise PrtbakeError(f"{out}: the bake was stopped; vertices not yet baked are black in the pictures")
+    say_next_of_asset(out / "spot.h5")

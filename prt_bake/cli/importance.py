@@ -7,9 +7,10 @@ import typer
 
 from formats.atomic import existing
 from formats.errors import PrtbakeError
+from prt_bake.cli.shared.kinds import refuse_other_kinds
 from prt_bake.cli.shared.mesh_name import naming_mesh
-from prt_bake.cli.shared.options import Device, Seed
-from prt_bake.cli.shared.outputs import check_outputs
+from prt_bake.cli.shared.options import Device, Force, Seed
+from prt_bake.cli.shared.outputs import check_outputs, refuse_existing
 from prt_bake.cli.shared.progress import reporting, stopping
 from prt_bake.network.file_names import importance_path
 
@@ -31,6 +32,7 @@ def importance(
     ] = "measured",
     seed: Seed = 0,
     device: Device = "cpu",
+    force: Force = False,
 ) -> None:
     """Fit the importance module of a model: MODEL.importance.pt.
 
@@ -40,6 +42,8 @@ def importance(
     """
     path = importance_path(existing(model))
     check_outputs({"the module": path}, {"MODEL": model, "MESH": mesh})
+    refuse_existing([path], force)
+    refuse_other_kinds({"MODEL": (model, ("model",)), "MESH": (mesh, ("mesh",))})
     from dataclasses import replace
 
     from formats.mesh import read_mesh

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.options import AsJson, Mend, Rotate, Up
 from prt_bake.cli.shared.progress import say
 
@@ -32,6 +33,7 @@ def light(
     index l(l+1)+m; nothing is pre-convolved. Suns are small strong sources in a sky. They are included in the
     coefficients; `prtbake shade` splits them off.
     """
+    refuse_other_kinds({"ENVIRONMENT": (environment, LIGHT)})
     from prt_bake.lights.harmonics import project_lighting
     from prt_bake.lights.lighting import read_lighting
     from prt_bake.lights.sun_detection import split_suns

@@ -6,9 +6,11 @@ from typing import Annotated
 import typer
 
 from formats.atomic import existing
+from prt_bake.cli.shared.kinds import refuse_other_kinds
 from prt_bake.cli.shared.lobes import lobes_sentence
-from prt_bake.cli.shared.options import Device, optional_output
-from prt_bake.cli.shared.outputs import check_outputs
+from prt_bake.cli.shared.next_step import say_next_of_asset
+from prt_bake.cli.shared.options import Device, Force, optional_output
+from prt_bake.cli.shared.outputs import check_outputs, refuse_existing
 from prt_bake.cli.shared.progress import reporting
 
 
@@ -30,6 +32,7 @@ def lobes(
         typer.Option(help="The 7 inputs of a TorchScript MODEL, as for `prtbake bake`.", show_default=False),
     ] = None,
     device: Device = "cpu",
+    force: Force = False,
 ) -> None:
     """Add lobes to an asset: narrow light that its harmonics leave out.
 
@@ -38,6 +41,8 @@ def lobes(
     """
     target = out or asset.with_name(f"{asset.stem}.lobes{asset.suffix}")
     check_outputs({"--output": target}, {"MODEL": existing(source), "ASSET": existing(asset)})
+    refuse_existing([target], force)
+    refuse_other_kinds({"MODEL": (source, ("model",)), "ASSET": (asset, ("asset",))})
     from formats.asset import read_asset
     from formats.asset.lobes import add_lobes_to_file
     from prt_bake.baking.lobes.addition import add_lobes
@@ -53,3 +58,4 @@ def lobes(
     add_lobes_to_file(asset, target, found.lobes, {"lobes": entry})
     before = "" if baked.lobes is None else f"; they replace the {baked.lobes.count} that the asset had"
     print(f"{target}: {lobes_sentence(entry)}{before}")
+    say_next_of_asset(target)

@@ -6,11 +6,12 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
 from formats.errors import InputWarning, PrtbakeError
+from formats.version import program_version
 from prt_bake.cli.bake import bake
 from prt_bake.cli.check import check
 from prt_bake.cli.compare import compare
@@ -26,64 +27,99 @@ from prt_bake.cli.render import render
 from prt_bake.cli.reports.group import report
 from prt_bake.cli.sample import sample
 from prt_bake.cli.shade import shade
+from prt_bake.cli.shared import signals
+from prt_bake.cli.shared.help import Groups
+from prt_bake.cli.shared.progress import say
+from prt_bake.cli.shared.verbose import detail, error_detail, verbosely
+from prt_bake.cli.start.example import example
 from prt_bake.cli.start.init import init
 from prt_bake.cli.start.materials import materials
 from prt_bake.cli.train import train
 from prt_bake.cli.view import view
+from prt_bake.jit import notice
 
 # The help is plain text: styled help would import rich, which takes longer than everything else.
 app = typer.Typer(
     name="prtbake",
+    cls=Groups,
     help="Bake translucent objects into assets that any engine can relight.",
+    epilog="`prtbake COMMAND --help` explains a command. Exit codes: 0 done, 1 failed, 2 wrong usage, 130 Ctrl-C.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-COMMANDS: dict[str, Callable[..., None]] = {
-    "demo": demo,
-    "init": init,
-    "materials": materials,
-    "make": make,
-    "train": train,
-    "sample": sample,
-    "importance": importance,
-    "bake": bake,
-    "lobes": lobes,
-    "compress": compress,
-    "light": light,
-    "shade": shade,
-    "view": view,
-    "render": render,
-    "compare": compare,
-    "info": info,
-    "check": check,
-    "export": export,
+COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
+    "Main commands": {"init": init, "train": train, "bake": bake, "shade": shade, "view": view},
+    "In one step": {"make": make, "demo": demo, "example": example},
+    "Make assets": {"sample": sample, "importance": importance, "lobes": lobes, "compress": compress},
+    "Pictures and light": {"render": render, "light": light},
+    "Measure": {"compare": compare},
+    "Files": {"info": info, "check": check, "materials": materials, "export": export},
 }
-for name, command in COMMANDS.items():
-    app.command(name, no_args_is_help=name not in ("demo", "materials"))(command)
+_WITHOUT_ARGUMENTS = ("demo", "materials")
+for group, commands in COMMANDS.items():
+    for name, command in commands.items():
+        app.command(name, no_args_is_help=name not in _WITHOUT_ARGUMENTS, rich_help_panel=group)(command)
 
-app.add_typer(report, name="report")
+app.add_typer(report, name="report", rich_help_panel="Measure")
 
 INTERRUPTED = 130  # typer's exit code for a KeyboardInterrupt that no command has caught
+
+
+def _print_version(requested: bool) -> None:
+    if requested:
+        print(f"prtbake {program_version()}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Print versions, times and origins of messages; also after COMMAND.")
+    ] = False,
+) -> None:
+    """The options of `prtbake` itself. `main` takes --verbose out of the command line before it is parsed."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command line and return its exit code: 0 success, 1 failure (one line on stderr), 2 wrong usage.
 
+    A command that received a signal ends with 128 plus its number: 130 after Ctrl-C, though it kept what it had.
+
     Every error that a user can cause is printed as one line. Any other exception is a defect and keeps its traceback.
     """
+    signals.forget()
+    notice.say = say
     command_line = sys.argv[1:] if arguments is None else list(arguments)
     if strange := [text for text in command_line if not _is_utf_8(text)]:
         return _fail(f"expected names in UTF-8, which OpenEXR and HDF5 require, found {strange[0]!a}; rename the file")
+    parsed, is_verbose = _without_verbose(command_line)
+    with verbosely(is_verbose):
+        return signals.exit_code(_run(parsed, shlex.join(["prtbake", *command_line])))
+
+
+def _without_verbose(command_line: list[str]) -> tuple[list[str], bool]:
+    """Return the arguments without --verbose, which may stand anywhere before a --, and whether it was there."""
+    end = command_line.index("--") if "--" in command_line else len(command_line)
+    kept = [text for text in command_line[:end] if text not in ("-v", "--verbose")]
+    return kept + command_line[end:], len(kept) < end
+
+
+def _run(command_line: list[str], typed: str) -> int:
     try:
         with _printed_warnings():
-            app(args=command_line, prog_name="prtbake", obj=shlex.join(["prtbake", *command_line]))
+            app(args=command_line, prog_name="prtbake", obj=typed)
     except SystemExit as ending:
         if ending.code != INTERRUPTED:
             return int(ending.code or 0)
-        return _fail("stopped by Ctrl-C before it was finished")
+        _print_line("stopped by Ctrl-C before it was finished")
+        return INTERRUPTED
     except PrtbakeError as error:
+        error_detail()
         return _fail(str(error))
     except OSError as error:
         reason = os.strerror(error.errno) if error.errno else str(error)
@@ -111,6 +147,7 @@ def _printed_warnings() -> Iterator[None]:
             elif str(message) not in printed:
                 printed.add(str(message))
                 _print_line(f"warning: {message}")
+                detail(f"this warning is from {args[0]}, line {args[1]}")
 
         warnings.simplefilter("always", InputWarning)
         warnings.showwarning = show_once

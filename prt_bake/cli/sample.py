@@ -6,8 +6,10 @@ from typing import Annotated
 import typer
 
 from formats.errors import PrtbakeError
-from prt_bake.cli.shared.options import Seed, output_option
-from prt_bake.cli.shared.outputs import check_outputs
+from prt_bake.cli.shared.kinds import refuse_other_kinds
+from prt_bake.cli.shared.next_step import say_next
+from prt_bake.cli.shared.options import Force, Seed, output_option
+from prt_bake.cli.shared.outputs import check_outputs, refuse_existing
 from prt_bake.cli.shared.progress import reporting, stopping
 
 
@@ -18,6 +20,7 @@ def sample(
     walks: Annotated[int, typer.Option(min=2, help="Paths per query, shared by its light directions.")] = 8,
     directions: Annotated[int, typer.Option(min=1, help="Light directions per query.")] = 8,
     seed: Seed = 0,
+    force: Force = False,
 ) -> None:
     """Path trace training queries and write them with their noise.
 
@@ -25,6 +28,8 @@ def sample(
     --seed draws different queries.
     """
     check_outputs({"--output": output}, {"SCENE": scene})
+    refuse_existing([output], force)
+    refuse_other_kinds({"SCENE": (scene, ("scene",))})
     from formats.scene import read_scene
     from prt_bake.trainer.samples.record import record_samples
 
@@ -42,3 +47,4 @@ def sample(
     print(f"{output}: {done:,} queries of {directions} directions, {done * walks:,} paths")
     if done < count:
         raise PrtbakeError(f"{output}: the sampling was stopped; the file holds {done:,} of {count:,} queries")
+    say_next("prtbake", "train", scene, "--samples", output, "-o", scene.with_suffix(".pt").name)

@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.errors import PrtbakeError, QueryError
+from formats.errors import QueryError
+from formats.extras import require
 
 Array = NDArray[np.float64]
 
@@ -91,13 +92,8 @@ def exposures_between(start: float, stop: float) -> Exposures:
 
 def evaluate_extra(name: str) -> ModuleType:
     """A module of the extra `evaluate`. Raises PrtbakeError if it is not installed."""
-    try:
-        return import_module(name)
-    except ImportError:
-        package = name.partition(".")[0]
-        raise PrtbakeError(
-            f"compare: {package} is not installed; install the extra with it: pip install 'prt-bake[evaluate]'"
-        ) from None
+    require("compare", name.partition(".")[0])
+    return import_module(name)
 
 
 def _inverse_aces(level: float) -> float:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.mesh import check_mesh, texture_remark
+from formats.mesh import check_mesh, good_normals, texture_remark
 from formats.scene import Scene, read_scene
 from formats.scene.file import find_table_faults
 from formats.scene.materials import find_material
@@ -59,7 +59,7 @@ def find_remarks(path: str | Path) -> list[str]:
 
     They name faults of meshes that a scene mends, objects that will look opaque or clear, parts that stick out of
     their parents, grids beside their parts, the energy that rough boundaries lose to single scattering, images that
-    repeat, and scenes that networks learn badly.
+    repeat, facets, and scenes that networks learn badly.
     """
     from prt_bake.geometry.nesting import protruding_parts
     from prt_bake.trainer.scene_warnings import training_warning
@@ -73,6 +73,7 @@ def find_remarks(path: str | Path) -> list[str]:
         *_misplaced_grids(parts),
         *_energy_losses(parts),
         *_repeated_images(parts),
+        *_facets(parts),
     ]
     return [f"{path}: {remark}" for remark in (*remarks, *([warning] if warning else []))]
 
@@ -192,6 +193,19 @@ def _repeated_images(parts: tuple[Part, ...]) -> list[str]:
         if textured and (remark := texture_remark(part.mesh)):
             sentences.append(f"{part.name!r}: {remark}")
     return sentences
+
+
+def _facets(parts: tuple[Part, ...]) -> list[str]:
+    """Return a sentence on the boundaries that refract light by faces although their vertex normals are good."""
+    faceted = [part for part in parts if part.diffuse is None and part.normals == "face"]
+    refracting = [part for part in faceted if part.eta != (1.0 if part.parent < 0 else parts[part.parent].eta)]
+    names = [repr(part.name) for part in refracting if good_normals(part.mesh)]
+    if not names:
+        return []
+    return [
+        f"{', '.join(names)}: light is refracted by the faces, so that a coarse mesh shows facets; "
+        'normals = "vertex" uses the vertex normals, which are good'
+    ]
 
 
 def _energy_losses(parts: tuple[Part, ...]) -> list[str]:

@@ -20,6 +20,7 @@ from typing import Any, TypeVar, cast
 
 import numba
 from filelock import FileLock
+from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.compiler_lock import global_compiler_lock
 
@@ -89,6 +90,38 @@ class KernelCache(FunctionCache):
         """Caches a kernel, if the cache is writable."""
         with suppress(OSError):
             super().save_overload(sig, data)
+
+
+class _Notices(event.Listener):
+    """Says that our kernels are compiled, and records their times; loading cached kernels is no event.
+
+    The words are imported here and not at the top, where they would be one of the sources of every kernel.
+    """
+
+    def __init__(self) -> None:
+        self._begun: list[float] = []
+
+    def on_start(self, event: Any) -> None:
+        """A kernel, or one that it calls, is going to be compiled."""
+        from prt_bake.jit import notice
+
+        self._begun.append(time.monotonic())
+        kernel = event.data["dispatcher"]
+        if kernel.py_func.__module__.partition(".")[0] == "prt_bake":
+            cache_on_disk = getattr(kernel, "_cache", None)
+            found = cache_on_disk if isinstance(cache_on_disk, KernelCache) else None
+            notice.announce(None if found is None else found.cache_path, found is not None and found._enabled)
+
+    def on_end(self, event: Any) -> None:
+        """A kernel was compiled, or could not be."""
+        from prt_bake.jit import notice
+
+        begun = self._begun.pop()
+        if not self._begun:
+            notice.compiled.append((event.data["dispatcher"].py_func.__qualname__, time.monotonic() - begun))
+
+
+event.register("numba:compile", _Notices())
 
 
 @cache

@@ -31,6 +31,7 @@ from formats.image import read_layers, write_image
 from formats.mesh import write_mesh
 from formats.samples import read_samples
 from prt_bake.cli.__main__ import run as prtbake
+from prt_bake.cli.main import INTERRUPTED
 from prt_bake.network.bssrdf import load_model
 from tests.shapes import ball
 
@@ -97,12 +98,16 @@ class Command:
 
 COMMANDS = {
     "train": Command(
-        "train ball.toml --steps 10 --synchronous --no-report --no-importance", "m.pt", _model, True, "m.train.pt"
+        "train ball.toml --steps 10 --synchronous --no-report --no-importance --force",
+        "m.pt",
+        _model,
+        True,
+        "m.train.pt",
     ),
-    "sample": Command("sample ball.toml --count 3000", "s.h5", _samples),
-    "bake": Command("bake model.pt ball.ply --samples 512 --rings 4 --sectors 16", "b.h5", _asset, True),
-    "lobes": Command("lobes model.pt asset.h5", "l.h5", _asset),
-    "compress": Command("compress asset.h5 --error 0.01", "c.h5", _asset),
+    "sample": Command("sample ball.toml --count 3000 --force", "s.h5", _samples),
+    "bake": Command("bake model.pt ball.ply --samples 512 --rings 4 --sectors 16 --force", "b.h5", _asset, True),
+    "lobes": Command("lobes model.pt asset.h5 --force", "l.h5", _asset),
+    "compress": Command("compress asset.h5 --error 0.01 --force", "c.h5", _asset),
     "render": Command("render ball.toml ball.ply --light sky.exr --size 48x48 --spp 64", "r.exr", _picture, True),
     "shade": Command("shade asset.h5 --light sky.exr --size 256x256", "p.exr", _picture),
 }
@@ -211,9 +216,9 @@ class Bench:
 
         code = self.folder.run(self.line, strike if not limit else lambda _: None, limit)
         faults = []
-        if code not in (0, 1, -number):
+        if code not in (0, 1, INTERRUPTED, -number):
             faults.append(f"exit code {code}")
-        if code == 1 and (fault := self.folder.sentence()):
+        if code in (1, INTERRUPTED) and (fault := self.folder.sentence()):
             faults.append(fault)
         if self.output.exists() and self.output.read_bytes() != self.folder.older:
             try:

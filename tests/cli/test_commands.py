@@ -36,7 +36,7 @@ def test_help_lists_every_command_and_loads_no_slow_library() -> None:
         "h5py",
         "scipy",
         "trimesh",
-        "vtkmodules",
+        "pyvista",
         "pydantic",
         "embreex",
         "OpenEXR",
@@ -151,8 +151,19 @@ def test_the_plan_on_a_terminal(folder: Path) -> None:
     lines = list(plan_lines(plan))
     assert lines[0] == "42 vertices × 1,024 view bins, 9 SH coefficients"
     assert "774,144 evaluations, 18.0 per bin" in lines
-    assert lines[3].startswith("about ")
+    assert lines[3] == "bakes with 18 directions per view bin"
+    assert lines[4].startswith("about ")
     assert any(line.startswith("kept: unseen: 0 of 42 vertices") for line in lines)
+
+
+def test_a_bake_without_options_says_its_default(prtbake: Run, tmp_path: Path) -> None:
+    bins = ["--rings", 1, "--sectors", 4, "--lobes", 0]
+    baked = prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", *bins)
+    assert "bakes to 2 % error, the default; --error, --minutes or --samples choose another" in baked.err
+    assert (
+        "prtbake: bakes for 0.02 minutes\n"
+        in prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "b.h5", *bins, "--minutes", 0.02).err
+    )
 
 
 @pytest.mark.parametrize(
@@ -195,7 +206,7 @@ def test_the_report_states_whether_the_error_was_reached(prtbake: Run, tmp_path:
     options = ["--rings", 1, "--sectors", 2, "--report", tmp_path / "r.json"]
     for error, minutes, reached in ((0.5, [], True), (1e-5, ["--minutes", 0.05], False)):
         outcome = prtbake(
-            "bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", "--error", error, *minutes, *options
+            "bake", "model.pt", "sphere.ply", "-o", tmp_path / f"{reached}.h5", "--error", error, *minutes, *options
         )
         assert outcome.code == 0, outcome.err
         assert json.loads((tmp_path / "r.json").read_text())["error_reached"] is reached
@@ -220,6 +231,8 @@ def test_render_and_compare_with_itself(prtbake: Run, tmp_path: Path) -> None:
         (["--exposure", 1], "--exposure: has no effect on .exr, which"),
         (["--exposure", 1, "--preview", "p.hdr"], "--exposure: has no effect on .exr and .hdr, which"),
         (["--orthographic", "--fov", 50], "has no field of view"),
+        (["--normals", "face"], "--normals: applies to the reflection; add --reflection"),
+        (["--view", "left", "--eye", "0,0,5"], "--view: --eye places the camera; omit one of them"),
         # The exposure applies to the preview, so that only the field of view is wrong.
         (["--exposure", 1, "--preview", "p.png", "--extent", 3, "--fov", 50], "has no field of view"),
     ],

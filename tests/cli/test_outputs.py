@@ -235,15 +235,16 @@ def test_no_two_outputs_are_the_same_file(run: Run, line: str, path: str, option
 
 
 def test_files_that_are_damaged_or_name_themselves_are_left_to_the_reader(run: Run) -> None:
+    missing = "prtbake: none.h5: there is no such file"
     Path("a.toml").write_text('mesh = "a.toml"\n')
     Path("b.gltf").write_text('{"buffers": [{"uri": "b.gltf"}, {}, {"uri": "\\u0000"}]}')
     for name, content in (("c.toml", b"= \xff"), ("d.gltf", b"[1, 2"), ("e.gltf", b'{"buffers": 3}')):
         Path(name).write_bytes(content)
-        assert run(f"shade none.h5 --light {name} -o x.png").err.startswith("prtbake: none.h5: there is no such file")
+        assert run(f"shade none.h5 --roughness {name} --reflection --light sun:0,1,0 -o x.png").err.startswith(missing)
     Path("f.gltf").write_text('{"buffers": [{"uri": "g.glb"}]}')
     Path("g.glb").write_text('{"images": [{"uri": "f.gltf"}]}')
-    assert run("shade none.h5 --light f.gltf -o x.png").err.startswith("prtbake: none.h5: there is no such file")
-    assert run("shade none.h5 --light a.toml --light b.gltf -o x.png").err.startswith("prtbake: none.h5: there is no")
+    for name in ("a.toml", "b.gltf", "f.gltf"):
+        assert run(f"shade none.h5 --roughness {name} --reflection --light sun:0,1,0 -o x.png").err.startswith(missing)
 
 
 def test_an_export_leaves_the_files_of_its_scene(prtbake: Run, folder: Path, tmp_path: Path) -> None:

@@ -60,5 +60,11 @@ def test_shade_reports_its_treatment_of_suns(prtbake: Run, tmp_path: Path, treat
     assert " sun" not in calm.out
 
 
+def test_a_sun_without_a_sky_is_split_from_nothing(prtbake: Run, tmp_path: Path) -> None:
+    done = prtbake("shade", "asset.h5", "--light", "sun:0,1,0", "-o", tmp_path / "a.exr", "--size", "16x12")
+    assert ", 1 sun" in done.out
+    assert "split" not in done.out
+
+
 def test_an_unknown_treatment_of_suns_is_wrong_usage(prtbake: Run) -> None:
     assert prtbake("shade", "asset.h5", "--light", "sky.exr", "-o", "x.exr", "--suns", "none").code == 2

@@ -9,7 +9,6 @@ import pytest
 
 from formats.image import read_image, write_image
 from formats.image.png import to_srgb
-from prt_bake.preview.canvas import Canvas
 from prt_bake.preview.window import Window
 from tests.cli.command_line import Run
 
@@ -81,7 +80,7 @@ def test_a_missing_display_is_reported(prtbake: Run, monkeypatch: pytest.MonkeyP
 
 WITHOUT = """
 import sys
-sys.modules["vtkmodules"] = None
+sys.modules["pyvista"] = None
 from prt_bake.cli.main import main
 code = main(sys.argv[1:])
 assert "torch" not in sys.modules
@@ -89,11 +88,11 @@ sys.exit(code)
 """
 
 
-def test_without_vtk_the_message_names_the_extra(folder: Path, tmp_path: Path) -> None:
+def test_without_pyvista_the_message_names_what_to_install(folder: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-c", WITHOUT, *COMMAND, "--screenshot", str(tmp_path / "shot.png")]
     ran = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert (ran.returncode, len(ran.stderr.splitlines())) == (1, 1)
-    assert "pip install 'prt-bake[preview]'" in ran.stderr
+    assert "pip install pyvista" in ran.stderr
 
 
 @pytest.mark.parametrize(
@@ -133,8 +132,9 @@ def test_the_window_is_shown(prtbake: Run, monkeypatch: pytest.MonkeyPatch) -> N
 
     seen = []
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr(Canvas, "on_display", True)
+    monkeypatch.setattr(window, "on_display", lambda _: True)
     monkeypatch.setattr(Window, "run", lambda self: seen.append(self))
-    monkeypatch.setattr(window, "Canvas", lambda width, height, *_: Canvas(width, height, True))
+    in_memory = window.open_plotter
+    monkeypatch.setattr(window, "open_plotter", lambda width, height, *_: in_memory(width, height, True))
     assert prtbake(*COMMAND, "--light", "sky.hdr", "--size", "64x48").code == 0
     assert [source.name for source in seen[0].view.preview.lights] == ["sky.exr", "sky.hdr"]

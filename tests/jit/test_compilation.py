@@ -12,7 +12,7 @@ import numba
 import pytest
 from numba.core.errors import TypingError
 
-from prt_bake.jit import compilation
+from prt_bake.jit import compilation, notice
 from tests import ROOT
 
 PACKAGE = ROOT / "prt_bake"
@@ -50,7 +50,7 @@ def _loaded(root: Path) -> ModuleType:
     for function in (compilation.digest, compilation.sources, compilation.imported):
         function.cache_clear()
     text = KERNELS.replace("from prt_bake.constants import FACTOR", (root / "prt_bake" / "constants.py").read_text())
-    module = ModuleType("kernels")
+    module = ModuleType("prt_bake.kernels")
     exec(compile(text, root / "prt_bake" / "kernels.py", "exec"), vars(module))
     return module
 
@@ -121,6 +121,43 @@ def test_a_read_only_package_falls_back_to_the_users_cache_or_to_none(root: Path
     module = _loaded(root)
     assert module.times(2) == 6
     assert [path.is_relative_to(root / "users") for path in _cached(root)] == [True] * users
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What is said about compilation, as if nothing had been compiled yet."""
+    sentences: list[str] = []
+    monkeypatch.setattr(notice, "say", sentences.append)
+    monkeypatch.setattr(notice, "said", False)
+    monkeypatch.setattr(notice, "compiled", [])
+    return sentences
+
+
+def test_compilation_is_said_once_and_loading_is_not(root: Path, said: list[str]) -> None:
+    first = _loaded(root)
+    assert (first.times(2), first.times(0.5)) == (6, 1.5)
+    folder = root / "prt_bake" / "__pycache__"
+    assert said == [f"compiling kernels, once; this takes about a minute, and they are kept in {folder}"]
+    assert [name for name, seconds in notice.compiled if seconds > 0.0] == ["times", "times"]
+    notice.said = False
+    assert _loaded(root).times(2) == 6
+    assert len(said) == 1
+
+
+def test_kernels_that_cannot_be_kept_are_said_with_the_reason_and_the_remedy(root: Path, said: list[str]) -> None:
+    for path in (root / "prt_bake" / "__pycache__", root / "users"):
+        path.write_bytes(b"")
+    assert _loaded(root).times(2) == 6
+    assert "in every run, since neither the package's folder nor the user's cache folder can be written" in said[0]
+    assert "set NUMBA_CACHE_DIR to a folder that can" in said[0]
+
+
+def test_kernels_of_edited_sources_are_said_not_to_be_kept(
+    root: Path, said: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compilation, "STARTED", 0.0)
+    assert _loaded(root).times(2) == 6
+    assert said == ["compiling kernels; they are not kept, since a source was edited after this process began"]
 
 
 def test_a_process_that_has_waited_too_long_compiles_itself(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:

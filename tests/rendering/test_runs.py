@@ -329,7 +329,7 @@ def test_ctrl_c_leaves_a_valid_picture_that_can_be_resumed(folder: Path, tmp_pat
         assert "1000000 paths per pixel" in process.stderr.readline()
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=600)
-    assert process.returncode == 1
+    assert process.returncode == 130
     assert "Traceback" not in err
     assert "stopped" in err.splitlines()[-1]
     read = read_layers(tmp_path / "a.exr")

@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from formats.extras import EVALUATE, require
+from prt_bake.cli.shared.kinds import SOURCE, refuse_other_kinds
 from prt_bake.cli.shared.options import Seed
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
@@ -33,6 +35,8 @@ def bases(
         raise typer.BadParameter(f"--light: expected skies of different names, found {min(twice)} twice; omit one")
     inputs = {"SOURCE": source, "MESH": mesh} | {f"--light {sky}": sky for sky in light}
     check_outputs({"--out": report_files(out)}, inputs, folder=out)
+    require("report bases", *EVALUATE)
+    refuse_other_kinds({"SOURCE": (source, SOURCE), "MESH": (mesh, ("mesh",)), "--light": (light, ("sky",))})
     from formats.mesh import read_mesh
     from prt_bake.baking.sources import open_source
     from prt_bake.lights.environment import read_environment

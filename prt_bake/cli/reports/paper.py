@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from formats.errors import PrtbakeError
+from formats.extras import EVALUATE, require
 from prt_bake.cli.shared.options import Device, Seed
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import PLAIN_INTERVAL, say, stopping
@@ -77,6 +78,7 @@ def paper(
     from prt_bake.paper.settings import ReportSettings
     from prt_bake.paper.times import summary
 
+    require("report paper", *EVALUATE)
     require_device(device)
     folder = scenes or Path(__file__).parents[2] / "scenes"
     check_outputs({"--out": [out / name for name in FILES]}, {"--sky": sky}, folder=out)

@@ -6,6 +6,8 @@ from typing import Annotated
 import typer
 
 from formats.atomic import existing
+from formats.extras import EVALUATE, require
+from prt_bake.cli.shared.kinds import refuse_other_kinds
 from prt_bake.cli.shared.options import Seed
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
@@ -33,6 +35,8 @@ def training(
     the reference's noise, with a confidence interval of each figure.
     """
     check_outputs({"the report": report_paths(existing(model))}, {"MODEL": model, "SCENE": scene})
+    require("report training", *EVALUATE)
+    refuse_other_kinds({"MODEL": (model, ("model",)), "SCENE": (scene, ("scene",))})
     from formats.scene import read_scene
     from prt_bake.network.bssrdf import load_model
     from prt_bake.trainer.report.report import report_training

@@ -38,6 +38,26 @@ def check_outputs(outputs: Mapping[str, Paths], inputs: Mapping[str, Paths], fol
     _refuse_closed_folders(path for _, path in written)
 
 
+def refuse_existing(paths: Iterable[Path], force: bool, resume: bool | None = None) -> None:
+    """Refuse to replace files that took long to compute, unless `force` or `resume` is true.
+
+    Pictures and reports are replaced, as every renderer does. Call it after `check_outputs`.
+
+    Args:
+        paths: the files to write.
+        force: the option --force.
+        resume: the option --resume, None for commands that have none.
+
+    Raises StorageError that names the first file that exists, and the options that help.
+    """
+    if force or resume:
+        return
+    for path in paths:
+        if path.exists():
+            other = "" if resume is None else ", or --resume to continue"
+            raise StorageError(f"{path}: already exists; add --force to replace it{other}")
+
+
 def _paths(paths: Paths) -> list[Path]:
     if paths is None:
         return []

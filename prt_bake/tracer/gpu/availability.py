@@ -27,7 +27,7 @@ def reason_against() -> str:
     Compilers, drivers and versions that do not fit together fail in many ways, so a small kernel is tried.
     """
     if find_spec("numba_cuda") is None and not vars(numba.config)["ENABLE_CUDASIM"]:
-        return "numba-cuda is not installed; pip install 'prt-bake[cuda]'"
+        return "numba-cuda is not installed; pip install 'numba-cuda[cu13]'"
     try:
         from prt_bake.tracer.gpu.device_functions import cuda, device_function, kernel
 

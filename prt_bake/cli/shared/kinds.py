@@ -1,0 +1,114 @@
+"""Files of another kind than a command expects: which kind they are, and the command that they are for."""
+
+import shlex
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+
+from formats.errors import FormatError, PrtbakeError
+
+SOURCE, LIGHT = ("model", "scene"), ("sky", "lights")
+"""The kinds of what is baked and rendered, and of what gives light."""
+Expected = tuple[Path | str | Iterable[Path | str] | None, tuple[str, ...]]
+"""The value of an argument or option, and the kinds that it may be."""
+
+_NAMES = {
+    "mesh": "a mesh",
+    "sky": "a picture",
+    "scene": "a scene",
+    "lights": "a lights file",
+    "model": "a model",
+    "importance": "an importance module",
+    "checkpoint": "the checkpoint of a training",
+    "asset": "an asset",
+    "samples": "training samples",
+}
+_REMEDIES = {
+    ("asset", "model"): "bake it first: prtbake bake {file} MESH -o {h5}",
+    ("asset", "scene"): "train a model on it first: prtbake train {file} -o {pt}",
+    ("asset", "mesh"): "begin with a scene of it: prtbake init {file} --material NAME",
+    ("source", "asset"): "it is baked already; show it: prtbake view {file}",
+    (
+        "source",
+        "mesh",
+    ): "the mesh comes second; without a scene begin with: prtbake init {file} --material NAME",
+    ("scene", "mesh"): "begin with a scene of it: prtbake init {file} --material NAME",
+    ("scene", "model"): "it is trained already; bake it: prtbake bake {file} MESH -o {h5}",
+    ("scene", "asset"): "it is baked already; show it: prtbake view {file}",
+    ("model", "scene"): "train one on it first: prtbake train {file} -o {pt}",
+    ("mesh", "scene"): "give the mesh that the scene names",
+    ("mesh", "model"): "the model comes first, then the mesh",
+    ("mesh", "asset"): "give the mesh that it was baked on",
+    ("sky", "asset"): "make a picture of it first: prtbake shade {file} --light SKY -o {exr}",
+    ("light", "mesh"): "only pictures, lights files and lights such as sun:0,1,0 can be lights",
+    ("light", "scene"): "its lights must be in a file of their own",
+    ("light", "asset"): "the asset comes before --light",
+}
+_OF_THE_FOUND = {
+    "sky": "give it as --light",
+    "lights": "give it as --light",
+    "samples": "train with them: prtbake train SCENE.toml --samples {file} -o MODEL.pt",
+    "importance": "`prtbake render` finds it beside its model; give the model or its asset",
+    "checkpoint": "--resume reads it; give the model beside it",
+}
+
+
+def refuse_other_kinds(arguments: Mapping[str, Expected]) -> None:
+    """Refuse files that are evidently of another kind than their argument or option expects.
+
+    A file whose kind its name and its first bytes do not tell is left to the reader.
+
+    Args:
+        arguments: value and expected kinds by argument or option. Kinds are those of `kind_of` in inspection, lights
+            and checkpoint.
+
+    Raises FormatError that names the file, both kinds, and the command that the file is for.
+    """
+    for argument, (paths, kinds) in arguments.items():
+        for path in _paths(paths):
+            found = _kind(path)
+            if found is not None and found not in kinds:
+                raise FormatError(
+                    f"{path}: expected {' or '.join(_NAMES[kind] for kind in kinds)} ({argument}), "
+                    f"found {_NAMES[found]}; {_remedy(_role(kinds), found, path)}"
+                )
+
+
+def _role(kinds: tuple[str, ...]) -> str:
+    return "source" if kinds == SOURCE else "light" if kinds == LIGHT else kinds[0]
+
+
+def _remedy(role: str, found: str, path: Path) -> str:
+    text = _REMEDIES.get((role, found)) or _OF_THE_FOUND.get(found) or "give a file of that kind"
+    named = {suffix: shlex.quote(f"{path.stem}.{suffix}") for suffix in ("h5", "pt", "exr")}
+    return text.format(file=shlex.quote(str(path)), **named)
+
+
+def _paths(paths: Path | str | Iterable[Path | str] | None) -> Iterator[Path]:
+    for path in [paths] if isinstance(paths, Path | str) else paths or []:
+        try:
+            if Path(path).is_file():
+                yield Path(path)
+        except (OSError, ValueError):
+            continue  # a light such as sun:0,1,0, or a name that no file can have
+
+
+def _kind(path: Path) -> str | None:
+    """Return the kind of a file; None if it is not evident."""
+    from prt_bake.inspection.files import kind_of
+
+    if path.name.lower().endswith(".train.pt"):
+        return "checkpoint"
+    try:
+        kind = kind_of(path)
+    except (PrtbakeError, OSError):
+        return None
+    return kind if kind != "scene" else _kind_of_toml(path)
+
+
+def _kind_of_toml(path: Path) -> str | None:
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return "scene" if "object" in tables else "lights" if tables.keys() & {"sky", "directional", "sphere"} else None

@@ -1,0 +1,24 @@
+"""The last line of a command: the one to type next, with the user's own file names."""
+
+import os
+import shlex
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+
+def say_next(*words: object) -> None:
+    """Print a command on stderr, with quotes where the shell needs them."""
+    print(f"next: {shlex.join(map(str, words))}", file=sys.stderr, flush=True)
+
+
+def say_next_of_asset(asset: Path) -> None:
+    """Print the command that shows an asset: in a window, without a display in a file, without PyVista by `shade`."""
+    if not all(map(find_spec, ("pyvista", "vtkmodules"))):
+        from prt_bake.shipped.examples import example
+
+        say_next("prtbake", "shade", asset, "--light", example("sky.hdr"), "-o", asset.with_suffix(".png"))
+    elif sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+        say_next("prtbake", "view", asset, "--screenshot", asset.with_suffix(".png"))
+    else:
+        say_next("prtbake", "view", asset)
