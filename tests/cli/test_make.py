@@ -16,7 +16,7 @@ from prt_bake.cli.main import main as prtbake
 from prt_bake.cli.making import steps
 from prt_bake.cli.making.make import make
 
-SECONDS = {"train": 840.0, "bake": 200.0, "picture": 4.0, "turntable": 20.0}
+SECONDS = {"train": 840.0, "bake": 200.0, "picture": 8.0, "turntable": 20.0}
 
 
 class Kitchen:
@@ -120,7 +120,8 @@ def test_the_steps_share_the_time(kitchen, capsys):
     assert calls[0][1:] == (14.0, False)
     assert calls[1][1:] == (0.02, 4.0, False)  # 20 minutes less 14 of training and 2 for the rest
     assert calls[2][2].endswith("sky.hdr")
-    assert calls[3][1] == 19  # frames: half of the 156 s that are left, 4 s each
+    assert calls[2][3] == "sun:0.6,0.6,-0.6:2,1.9,1.7:3"
+    assert calls[3][1] == 19  # frames: half of the 152 s that are left, each of half the time of the picture
     found = summary()
     assert [step["name"] for step in found["steps"]] == ["train", "bake", "picture", "turntable", "compress"]
     assert found["seconds"] == sum(SECONDS.values())
@@ -188,7 +189,7 @@ def test_the_exit_code_of_a_step_stops_the_rest(kitchen, monkeypatch):
 
 
 def test_what_the_time_is_over_for_is_left_out(kitchen, capsys):
-    kitchen.seconds |= {"train": 1150.0, "bake": 130.0, "picture": 30.0}
+    kitchen.seconds |= {"train": 1150.0, "bake": 130.0, "picture": 60.0}
     calls = kitchen.run("wax.toml", "-o", "out")
     assert calls[1][2] == 2.0  # the bake has a tenth of the time, however long the training took
     assert [call[0] for call in calls] == ["train", "bake", "picture"]
@@ -198,7 +199,7 @@ def test_what_the_time_is_over_for_is_left_out(kitchen, capsys):
     assert not Path("out/compact.h5").exists()
     kitchen.seconds["turntable"] = 100.0
     assert kitchen.run("wax.toml", "-o", "out") == []  # a tenth of the time is no more than 8 frames take
-    kitchen.seconds["picture"] = 4.0
+    kitchen.seconds["picture"] = 8.0
     Path("out/picture.png").unlink()
     assert [call[0] for call in kitchen.run("wax.toml", "-o", "out")] == ["picture", "turntable"]
     assert Path("out/compact.h5").exists()

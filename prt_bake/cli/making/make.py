@@ -18,7 +18,9 @@ from prt_bake.cli.start.init import MaterialName, ObjectSize, write_scene
 if TYPE_CHECKING:
     from formats.scene import Scene
 
-_SHIPPED_SKY = "the shipped sky"
+_USUAL_LIGHT = "the shipped sky and a sun behind the object"
+_SUN_BEHIND = {"y": "sun:0.6,0.6,-0.6:2,1.9,1.7:3", "z": "sun:0.6,0.6,0.6:2,1.9,1.7:3"}
+"""For each axis that points up: right of, above and behind an object whose front is +z, or -y. Thin parts glow."""
 
 
 def make(
@@ -30,7 +32,9 @@ def make(
     ] = 20.0,
     light: Annotated[
         list[str] | None,
-        typer.Option("--light", metavar="LIGHT", help="Light of the pictures, as of shade; by default a shipped sky."),
+        typer.Option(
+            "--light", metavar="LIGHT", help="Light of the pictures, as of shade; by default a sky and a sun."
+        ),
     ] = None,
     material: MaterialName = None,
     size: ObjectSize = None,
@@ -53,12 +57,12 @@ def make(
     path = _scene_file(scene, folder, material, size, force)
     read = read_scene(path)
     _refuse_turned(read)
-    lights = light or [str(resources.files("prt_bake.shipped") / "sky.hdr")]
+    lights = light or [str(resources.files("prt_bake.shipped") / "sky.hdr"), _SUN_BEHIND[read.up]]
     read_lighting(lights, read.up, mesh=read.mesh, say=say)
     settings = {
         "scene": path.name,
         "scene_hash": read.content_hash,
-        "light": ", ".join(light) if light else _SHIPPED_SKY,
+        "light": ", ".join(light) if light else _USUAL_LIGHT,
         "minutes": minutes,
     }
     record = Record.open(folder, settings, force)

@@ -30,6 +30,8 @@ _BAKE_ERROR, _COMPRESSION_ERROR = 0.02, 0.005
 _COARSE = ("--rings", "4", "--sectors", "8", "--samples", "18", "--lobes", "0")
 """A bake that takes seconds, for slow machines whose time is over before an adaptive bake has its first pass."""
 _FRAMES = (8, 36)
+_FRAME = 0.5
+"""Time of a frame, of which a picture takes more: it is larger, and the asset is read for it."""
 _FRAMES_A_SECOND = 12
 
 
@@ -98,7 +100,7 @@ class Steps:
 
     def _turntable(self) -> None:
         picture = self._record.finished("picture")
-        seconds = 1.0 if picture is None else picture.seconds
+        seconds = 1.0 if picture is None else _FRAME * picture.seconds
         frames = math.floor(min(_FRAMES[1], 0.5 * self._left() / max(seconds, 1e-3)))
         arguments = [*self._shade(TURNTABLE, 384), "--turntable", "eye", "--frames", str(max(frames, _FRAMES[0]))]
         arguments += ["--seconds", f"{max(frames, _FRAMES[0]) / _FRAMES_A_SECOND:.3g}"]

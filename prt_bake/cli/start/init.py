@@ -86,9 +86,11 @@ def write_scene(
         say(f"{substance.name} is {substance.source}")
     if remark := translucency.remark(draft.light, 1.0):
         say(f"remark: {remark}")
+    paths = draft.light.size / draft.light.transport
+    least, most = translucency.digits(paths.min()), translucency.digits(paths.max())
     print(
-        f"{path}: {mesh_path.name} in {substance.name}, {draft.light.size:.4g} mm long, "
-        f"{translucency.channels(draft.light.size / draft.light.transport)} transport mean free paths"
+        f"{path}: {mesh_path.name} in {substance.name}, {draft.light.size:.4g} mm long, {least} to {most} transport "
+        f"mean free paths (about 5 to 50 look translucent)"
     )
 
 
