@@ -74,7 +74,7 @@ shipped: .venv/installed-evaluate
 	$(BIN)/prtbake train prt_bake/shipped/spot.toml -o prt_bake/shipped/spot.pt --minutes 10 --no-report --no-importance --force
 	rm -f prt_bake/shipped/spot.train.pt
 	$(BIN)/prtbake render prt_bake/shipped/spot.toml prt_bake/shipped/spot.obj --light prt_bake/shipped/sky.hdr \
-		-o prt_bake/shipped/reference.exr --size 256x256 --spp 2048 --report prt_bake/shipped/reference.json
+		-o prt_bake/shipped/reference.exr --view three-quarter-back --size 256x256 --spp 2048 --report prt_bake/shipped/reference.json
 
 clean:
 	rm -rf .venv demo bench

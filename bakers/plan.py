@@ -43,6 +43,10 @@ class BakePlan:
     kept: list[PrunableItem] = field(default_factory=list)
     lobes: dict[str, Any] = field(default_factory=dict)
     """The entry of the provenance, with the predicted seconds and bytes."""
+    effort: str = ""
+    """When the bake ends, in words."""
+    error: float | None = None
+    """Error that an adaptive bake will have: the requested one, or the one that its time allows; None if unknown."""
 
     def as_json(self) -> dict[str, Any]:
         """Plain values for a report."""

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from formats.asset import Asset, read_asset, write_asset
     from formats.errors import PrtbakeError
-    from formats.image import read_image, read_layers, write_image
+    from formats.image import read_image, read_layers, srgb, write_image
     from formats.mesh import Mesh, read_mesh, write_mesh
     from formats.scene import Scene
     from formats.scene import read_scene as load_scene
@@ -77,6 +77,7 @@ __all__ = [
     "sh",
     "shade",
     "sphere",
+    "srgb",
     "suns_apart",
     "train",
     "unpacked",
@@ -124,6 +125,7 @@ _ORIGIN = {
     "sh": ("prt_bake.mathematics.sh", ""),
     "shade": ("prt_bake.shading.picture", "shade"),
     "sphere": ("prt_bake.mathematics.sphere", ""),
+    "srgb": ("formats.image", "srgb"),
     "suns_apart": ("prt_bake.shading.sun_shading", "suns_apart"),
     "train": ("prt_bake.trainer.train", "train"),
     "unpacked": ("prt_bake.baking.compress", "unpacked"),
@@ -141,9 +143,11 @@ def __getattr__(name: str) -> object:
         return program_version()
     if name not in _ORIGIN:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from prt_bake.face.public import public
+
     module_name, attribute = _ORIGIN[name]
     module = import_module(module_name)
-    value: object = getattr(module, attribute) if attribute else module
+    value: object = public(name, getattr(module, attribute) if attribute else module)
     globals()[name] = value
     return value
 

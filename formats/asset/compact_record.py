@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.summary import summary
+
 _BLOCK_VERTICES = 64
 
 
@@ -141,3 +143,5 @@ class CompactCoefficients:
         )
         decoded = self.step * np.matmul(self.view_matrix.T, by_view)
         return np.asarray(decoded.reshape(len(vertices), bins, terms, channels))
+
+    __repr__ = summary

@@ -21,6 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.summary import summary
+
 DATASETS: dict[str, tuple[str, tuple[str, ...]]] = {
     "error_covariance": ("f", ("N", "pairs")),
     "error_channels": ("f", ("N", "3|1")),
@@ -64,6 +66,8 @@ class ErrorCovariance:
         scaled = np.divide(count * covariance, trace, out=np.zeros_like(covariance), where=trace > 0.0)
         covariance = np.where(trace > 0.0, scaled, np.where(rows == columns, 1.0, 0.0))
         return replace(self, covariance=covariance.astype(np.float32))
+
+    __repr__ = summary
 
 
 def pairs(count: int) -> int:

@@ -70,6 +70,8 @@ def _write_mesh(group: Any, head: AssetHead) -> None:
         group.create_dataset("uv", data=_as(mesh.uv, "<f4"))
     if mesh.source_vertex is not None:
         group.create_dataset("source_vertex", data=_as(mesh.source_vertex, "<i4"))
+    if mesh.flat_shaded:
+        group.attrs["flat_shaded"] = np.uint8(1)
     group.attrs["sha256"] = mesh_digest(group)
 
 

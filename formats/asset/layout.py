@@ -4,7 +4,8 @@ format_version 1.0, little-endian, with the filters gzip and shuffle only:
 
     /             attributes format, format_version, generator, created, up, handedness, unit, colour, complete,
                   left_out (JSON); optional: network_error (`total_error.py`)
-    /mesh         positions (add the attribute origin), normals, tangents, faces, uv, source_vertex
+    /mesh         positions (add the attribute origin), normals, tangents, faces, uv, source_vertex; optional attribute
+                  flat_shaded
     /basis        attributes kind, degree, order, sign, normalisation; check_directions, check_values
     /bins         directions; attributes rings, sectors, interpolation, solid_angle
     /transfer     coefficients [V,B,K,C], valid [V], standard_error [V,B]; attributes quantity, formula, folded_in;
@@ -101,6 +102,10 @@ def _attribute_faults(file: Any) -> Iterator[str]:
         value = attribute(file, name)
         if not any(_is(value, choice) for choice in allowed):
             yield f"the attribute {name} is {found(value)}; expected {' or '.join(map(repr, allowed))}"
+    if "flat_shaded" in file["mesh"].attrs:
+        value = attribute(file["mesh"], "flat_shaded")
+        if not any(_is(value, choice) for choice in (0, 1)):
+            yield f"/mesh: the attribute flat_shaded is {found(value)}; expected 0 or 1"
     for name, expected in BASIS.items():
         if not _is(value := attribute(file["basis"], name), expected):
             yield f"/basis: the attribute {name} is {found(value)}; expected {expected!r}; bake it again"

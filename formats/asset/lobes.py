@@ -24,6 +24,7 @@ from formats.atomic import replacing
 from formats.hdf5_file import attribute, found
 from formats.hdf5_sink import Sink
 from formats.interrupts import deferred
+from formats.summary import summary
 
 GROUP = "lobes"
 FORMAT_VERSION, VERSION_WITH_LOBES = "1.0", "1.1"
@@ -68,6 +69,8 @@ class Lobes:
     def count(self) -> int:
         """Return J."""
         return int(self.sharpness.shape[2])
+
+    __repr__ = summary
 
 
 def add_lobes_to_file(

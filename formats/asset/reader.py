@@ -271,6 +271,7 @@ def _mesh(group: Any) -> Mesh:
         normals=group["normals"][...].astype(np.float64),
         uv=group["uv"][...].astype(np.float64) if "uv" in group else None,
         source_vertex=group["source_vertex"][...].astype(np.int64) if "source_vertex" in group else None,
+        flat_shaded=bool(attribute(group, "flat_shaded")) if "flat_shaded" in group.attrs else False,
     )
 
 

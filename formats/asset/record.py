@@ -12,6 +12,7 @@ from formats.asset.error_covariance import ErrorCovariance
 from formats.asset.lobes import Lobes
 from formats.asset.total_error import ErrorInterval, TotalError
 from formats.mesh import Mesh
+from formats.summary import summary
 
 Storage = Literal["float16", "float32"]
 
@@ -55,6 +56,8 @@ class AssetHead:
     folded_in: str = FOLDED_IN
     left_out: list[dict[str, Any]] = field(default_factory=list)
     network_error: ErrorInterval | None = None
+
+    __repr__ = summary
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,6 +121,46 @@ class Asset(AssetHead):
         whole = None if bake is None else math.hypot(bake, compression)
         return TotalError(self.network_error, whole, "walks" in self.provenance)
 
+    def to_pyvista(self, light: Any = None, eye: Any = None) -> Any:
+        """Return the mesh as `pyvista.PolyData` with the radiance of a light, for notebooks and other plotters.
+
+        Args:
+            light: what `prt.shade` takes; or a `prt.Lighting`, a lat-long picture [H,W,3], or the path of a light as
+                for `--light`. None is the shipped sky, or the light of an asset made for one light.
+            eye: a point [3] in object space or directions to the eye [V,3]; by default that of `prt.fit_camera`.
+
+        Its point arrays are "radiance" float32 [V,3], linear; "rgb" uint8 [V,3], sRGB, the active scalars; and
+        "Normals". Vertices that were not baked are black.
+
+        Raises PrtbakeError if PyVista is not installed, and what `prt.shade` and `prt.read_lighting` raise.
+
+        >>> import prt_bake as prt
+        >>> asset = prt.read_asset("spot.h5")
+        >>> mesh = asset.to_pyvista("sky.hdr", eye=[-1.0, 1.0, -3.0])
+        >>> mesh["radiance"].shape == mesh["rgb"].shape == asset.mesh.positions.shape
+        True
+        >>> mesh.plot(rgb=True, lighting=False, off_screen=True)
+        """
+        from prt_bake.preview.polydata import to_pyvista
+
+        return to_pyvista(self, light, eye)
+
+    def show(self, light: Any = None, eye: Any = None) -> Any:
+        """Show the window of `prtbake view`; in a notebook, draw it with PyVista's backend.
+
+        Args:
+            light: the path of a light as for `--light`, or a `prt.Lighting`; the shipped sky by default.
+            eye: the first position of the camera [3]; by default that of `prt.fit_camera`.
+
+        In a notebook the window can be orbited, and its light rotated by a slider, if `trame-pyvista` and `ipywidgets`
+        are installed; otherwise this is a picture.
+
+        Raises PrtbakeError if PyVista or a display is missing, and what `prt.read_lighting` raises.
+        """
+        from prt_bake.preview.show import show
+
+        return show(self, light, eye)
+
     def __enter__(self) -> Self:
         return self
 
@@ -130,3 +173,5 @@ class Asset(AssetHead):
         """Close the file of the coefficients if they are an open dataset; otherwise do nothing."""
         if hasattr(self.coefficients, "file"):
             self.coefficients.file.close()
+
+    __repr__ = summary

@@ -5,6 +5,7 @@ May import: the files at the top of `formats`. Begin with `files.py`, which sele
 
 from formats.image.exr import Layers
 from formats.image.files import READABLE, read_alpha, read_data, read_image, read_layers, write_image
+from formats.image.png import srgb
 
 __all__ = [
     "READABLE",
@@ -13,5 +14,6 @@ __all__ = [
     "read_data",
     "read_image",
     "read_layers",
+    "srgb",
     "write_image",
 ]

@@ -17,6 +17,7 @@ from formats.errors import ImageError
 from formats.image.exr_colour import ExrColour, open_colour
 from formats.image.exr_header import Part, reading, silenced
 from formats.image.gamut import Primaries, convert, matrix_to_rec709
+from formats.summary import summary
 
 _VECTORS = ("position", "normal")
 """Layers written as X, Y and Z, so that compositing tools do not treat them as a colour."""
@@ -37,6 +38,8 @@ class Layers:
     image: NDArray[np.float32]
     layers: Mapping[str, NDArray[np.float32]]
     attributes: Mapping[str, str]
+
+    __repr__ = summary
 
 
 def read_exr(path: str | os.PathLike[str]) -> tuple[NDArray[np.float32], Primaries | None]:

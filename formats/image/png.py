@@ -6,7 +6,7 @@ Images are written with 8 bits per channel. The sRGB curve of IEC 61966-2-1 rela
 import os
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from formats.errors import ImageError
 from formats.image.encoding import encoding_of
@@ -119,6 +119,16 @@ def write_png(
     texts.add_text("exposure", f"{exposure:g} EV")
     with open(path, "wb") as file:
         Image.fromarray(encode_srgb(image, exposure, alpha)).save(file, format="PNG", pnginfo=texts)
+
+
+def srgb(image: ArrayLike, exposure: float = 0.0) -> NDArray[np.uint8]:
+    """8-bit sRGB [..., 3] of linear radiance [..., 3] times 2^exposure: of a picture, or of vertices.
+
+    >>> import prt_bake as prt
+    >>> prt.srgb([[0.0, 0.5, 1.0]]).tolist(), prt.srgb([[0.0, 0.5, 1.0]], exposure=-1.0).tolist()
+    ([[0, 188, 255]], [[0, 137, 188]])
+    """
+    return encode_srgb(np.asarray(image, np.float64), exposure)
 
 
 def encode_srgb(

@@ -4,6 +4,7 @@ May import: the files at the top of `formats`. Begin with `record.py`, then `fil
 suffix; each file format has its own module.
 """
 
+from formats.mesh.argument import as_mesh
 from formats.mesh.check import check_mesh, closedness_faults
 from formats.mesh.files import READABLE, read_mesh, write_mesh
 from formats.mesh.record import (
@@ -11,6 +12,7 @@ from formats.mesh.record import (
     Mesh,
     build_mesh,
     flipped,
+    good_normals,
     inconsistent_edges,
     inward_sentence,
     open_edges,
@@ -24,10 +26,12 @@ __all__ = [
     "READABLE",
     "SPLIT_ANGLE",
     "Mesh",
+    "as_mesh",
     "build_mesh",
     "check_mesh",
     "closedness_faults",
     "flipped",
+    "good_normals",
     "inconsistent_edges",
     "inward_sentence",
     "open_edges",

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from formats.atomic import existing, replacing
 from formats.errors import MeshError, warn
 from formats.mesh import geometry
+from formats.mesh.creases import is_flat_shaded
 from formats.mesh.edges import inside_out, opens_edges, welded
 from formats.mesh.gltf import read_gltf
 from formats.mesh.normals import agreeing_normals
@@ -166,6 +167,7 @@ def _assemble(
         dropped_faces=int((~kept_faces).sum()),
         cancelled_normals=int((cancelled & computed).sum()),
         split_normals=int((_split_normals(soup, kept_faces, faces, first_corner) & ~computed).sum()),
+        flat_shaded=_is_flat_shaded(soup, kept_faces, normals[faces], computed),
     )
 
 
@@ -184,6 +186,18 @@ def _given_normals(
     normals[faces[missing]] = np.nan
     normals[cancelled] = np.nan
     return normals
+
+
+def _is_flat_shaded(
+    soup: TriangleSoup,
+    kept_faces: NDArray[np.bool_],
+    at_corners: NDArray[np.float64],
+    computed: NDArray[np.bool_],
+) -> bool:
+    """Whether the file's normals are used, and those of flat shading. at_corners [F,3,3]: their vertex means."""
+    if soup.corner_normals is None or computed.all():
+        return False
+    return is_flat_shaded(geometry.normalise(soup.corner_normals[kept_faces]), at_corners)
 
 
 def _split_normals(

@@ -4,14 +4,19 @@ import dataclasses
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import MeshError, warn
-from formats.mesh import geometry
+from formats.mesh import creases, geometry
 from formats.mesh.edges import edges_of, inside_out, two_sided_faces
 from formats.mesh.normals import refuse_wrong_side
+from formats.summary import summary
+
+if TYPE_CHECKING:
+    import trimesh
 
 SPLIT_ANGLE = 30.0
 """In degrees. Normals of a file that differ by more at one vertex make a hard edge."""
@@ -19,6 +24,12 @@ _FEW_CANCELLED = 0.01
 """Share of vertices without a normal up to which doubled faces are a few flaps, not a second side."""
 _MOST_CANCELLED = 0.5
 """Share from which a mesh has two sides even if no face is doubled. Where solids touch, normals may cancel, too."""
+_MOST_CREASED = 0.3
+"""Share of the area of faces with a corner at a sharp edge, up to which vertex normals are good."""
+_MOST_SPLIT = 0.01
+"""Share of the vertices at hard edges of the file up to which vertex normals are good."""
+_UNIT = 1e-3
+"""Largest deviation from 1 of the length of a normal of another library."""
 _ONE_SIDE = "export it with one side, or remove the doubled faces in a mesh editor"
 
 
@@ -40,6 +51,7 @@ class Mesh:
             such a vertex has the normal of any of its faces.
         split_normals: number of vertices at which the file's normals differ by more than `SPLIT_ANGLE`, as at hard
             edges; such a vertex has their mean.
+        flat_shaded: whether the normals of the file are constant on each face, although the surface bends.
 
     >>> import prt_bake as prt
     >>> mesh = prt.Mesh(
@@ -60,6 +72,7 @@ class Mesh:
     dropped_faces: int = 0
     cancelled_normals: int = 0
     split_normals: int = 0
+    flat_shaded: bool = False
 
     def __post_init__(self) -> None:
         count, triangles = len(self.positions), len(self.faces)
@@ -69,14 +82,51 @@ class Mesh:
         }
         for name, shape in expected.items():
             array = getattr(self, name)
-            if array is None:
+            if array is None and name in ("uv", "corner_uv"):
                 continue
             if np.shape(array) != shape:
                 raise MeshError(f"mesh: {name}: expected shape {list(shape)}, found {list(np.shape(array))}")
             kind = np.int32 if name == "faces" else np.float64
+            if name == "faces":
+                _refuse_indices(np.asarray(array), count)
             object.__setattr__(self, name, np.ascontiguousarray(array, kind))
         if self.corner_uv is None and self.uv is not None:
             object.__setattr__(self, "corner_uv", self.uv[self.faces])
+
+    @classmethod
+    def from_trimesh(cls, mesh: "trimesh.Trimesh") -> "Mesh":
+        """The vertices and faces of a trimesh mesh, and its normals; those of the faces where it has none of length 1.
+
+        >>> import prt_bake as prt, trimesh
+        >>> prt.Mesh.from_trimesh(trimesh.creation.icosphere(subdivisions=0)).faces.shape
+        (20, 3)
+        """
+        if not len(mesh.faces):
+            raise MeshError("mesh: expected faces, found none in the trimesh mesh")
+        built = build_mesh(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces))
+        given = np.asarray(mesh.vertex_normals, np.float64)
+        usable = np.abs(np.linalg.norm(given, axis=1) - 1.0) < _UNIT
+        uv = getattr(mesh.visual, "uv", None)
+        return dataclasses.replace(
+            built,
+            normals=np.where(usable[:, None], given, built.normals),
+            uv=None if uv is None or len(uv) != len(built.positions) else np.asarray(uv, np.float64),
+        )
+
+    def to_trimesh(self) -> "trimesh.Trimesh":
+        """A trimesh mesh with the same vertices, faces, normals and texture coordinates.
+
+        >>> import prt_bake as prt
+        >>> prt.read_mesh("spot.obj").to_trimesh().is_watertight
+        True
+        """
+        import trimesh
+        from trimesh.visual import TextureVisuals
+
+        visual = None if self.uv is None else TextureVisuals(uv=self.uv)  # type: ignore[no-untyped-call]
+        return trimesh.Trimesh(
+            self.positions, self.faces, vertex_normals=self.normals, visual=visual, process=False, validate=False
+        )
 
     @property
     def bounds(self) -> NDArray[np.float64]:
@@ -107,6 +157,11 @@ class Mesh:
         return geometry.face_areas(self.positions - self.center, self.faces)
 
     @cached_property
+    def corner_normals(self) -> NDArray[np.float64]:
+        """The unit normals at the corners of each face [F,3,3], as `creases.corner_normals`: apart at sharp edges."""
+        return creases.corner_normals(self.positions - self.center, self.faces, self.normals)
+
+    @cached_property
     def content_hash(self) -> str:
         """SHA-256 of positions (little-endian float64) and faces (little-endian uint32), 64 hexadecimal digits."""
         digest = hashlib.sha256(self.positions.astype("<f8").tobytes())
@@ -120,12 +175,52 @@ class Mesh:
             return self.corner_uv is None
         return np.array_equal(self.uv[self.faces], self.corner_uv)
 
+    def to_pyvista(self) -> Any:
+        """Return the mesh as `pyvista.PolyData`, with the vertex normals in the array "Normals".
+
+        Raises PrtbakeError if PyVista is not installed.
+
+        >>> import prt_bake as prt
+        >>> prt.read_mesh("spot.obj").to_pyvista().plot(off_screen=True)
+        """
+        from formats.mesh.polydata import polydata
+
+        return polydata(self.positions, self.faces, self.normals)
+
+    __repr__ = summary
+
+
+def _refuse_indices(faces: NDArray[np.integer], count: int) -> None:
+    if faces.size and faces.dtype.kind not in "iu":
+        raise MeshError(f"mesh: faces: expected whole numbers, indices of vertices, found {faces.dtype}")
+    if faces.size and not 0 <= int(faces.min()) <= int(faces.max()) < count:
+        raise MeshError(
+            f"mesh: faces: expected indices from 0 to {count - 1}, found {faces.min()} to {faces.max()}; the first "
+            f"vertex is number 0"
+        )
+
 
 def build_mesh(positions: NDArray[np.float64], faces: NDArray[np.integer]) -> Mesh:
     """Return a mesh of these vertices [V,3] and triangles [F,3], unchanged, with angle-weighted vertex normals."""
     positions = np.ascontiguousarray(positions, np.float64)
     normals, cancelled = _normals_of_faces(positions, faces)
     return Mesh(positions, np.ascontiguousarray(faces, np.int32), normals, cancelled_normals=int(cancelled.sum()))
+
+
+def good_normals(mesh: Mesh) -> bool:
+    """Return whether light may be refracted by the vertex normals everywhere: scenes with `normals = "vertex"`.
+
+    False for flat shading, hard edges in the file, and sharp edges (above 60 degrees) around a third of the surface.
+
+    >>> import trimesh
+    >>> ball, box = trimesh.creation.icosphere(), trimesh.creation.box()
+    >>> good_normals(build_mesh(ball.vertices, ball.faces)), good_normals(build_mesh(box.vertices, box.faces))
+    (True, False)
+    """
+    if mesh.flat_shaded or mesh.split_normals > _MOST_SPLIT * len(mesh.positions):
+        return False
+    apart = np.linalg.norm(mesh.corner_normals - mesh.normals[mesh.faces], axis=2).max(axis=1) > 1e-3
+    return float(mesh.face_areas[apart].sum()) <= _MOST_CREASED * float(mesh.face_areas.sum())
 
 
 def _normals_of_faces(

@@ -1,35 +1,40 @@
-"""Measured materials by name, and units of length in millimetres.
-
-The table is figure 5 of Jensen, Marschner, Levoy and Hanrahan, "A Practical Model for Subsurface Light Transport"
-(2001): reduced scattering and absorption for red, green and blue per millimetre, and the index of refraction they
-assume.
-"""
+"""Materials by name: measured ones and estimates, with their sources. The table is `materials.toml`."""
 
 import difflib
+import functools
+import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import resources
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
-MILLIMETRES = {"mm": 1.0, "cm": 10.0, "dm": 100.0, "m": 1000.0, "inch": 25.4}
-"""Millimetres per unit of length."""
-
 
 @dataclass(frozen=True)
 class Material:
-    """A measured material.
+    """A material of the table.
 
     Attributes:
-        name: as in the paper, in lower case without spaces.
+        name: as in the source, in lower case.
+        group: who measured it, or that it is an estimate, in a few words.
+        source: the publication, and what was done to its numbers.
         sigma_s_reduced: reduced scattering σs′ = σs (1 − g), RGB, per millimetre.
         sigma_a: absorption, RGB, per millimetre.
-        eta: index of refraction that the measurement assumes.
+        eta: index of refraction that the source assumes.
+        roughness: GGX alpha of a usual surface; no source measured it.
+        measured: whether the scattering and the absorption were measured.
     """
 
     name: str
+    group: str
+    source: str
     sigma_s_reduced: tuple[float, float, float]
     sigma_a: tuple[float, float, float]
-    eta: float = 1.3
+    eta: float
+    roughness: float
+    measured: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,39 +50,54 @@ class Substance:
         return single_scattering_albedo(self.sigma_s, self.sigma_t)
 
 
-_MEASURED = (
-    Material("apple", (2.29, 2.39, 1.97), (0.0030, 0.0034, 0.046)),
-    Material("chicken1", (0.15, 0.21, 0.38), (0.015, 0.077, 0.19)),
-    Material("chicken2", (0.19, 0.25, 0.32), (0.018, 0.088, 0.20)),
-    Material("cream", (7.38, 5.47, 3.15), (0.0002, 0.0028, 0.0163)),
-    Material("ketchup", (0.18, 0.07, 0.03), (0.061, 0.97, 1.45)),
-    Material("marble", (2.19, 2.62, 3.00), (0.0021, 0.0041, 0.0071), eta=1.5),
-    Material("potato", (0.68, 0.70, 0.55), (0.0024, 0.0090, 0.12)),
-    Material("skimmilk", (0.70, 1.22, 1.90), (0.0014, 0.0025, 0.0142)),
-    Material("skin1", (0.74, 0.88, 1.01), (0.032, 0.17, 0.48)),
-    Material("skin2", (1.09, 1.59, 1.79), (0.013, 0.070, 0.145)),
-    Material("spectralon", (11.6, 20.4, 14.9), (0.0, 0.0, 0.0)),
-    Material("wholemilk", (2.55, 3.21, 3.77), (0.0011, 0.0024, 0.014)),
-)
-MATERIALS = {material.name: material for material in _MEASURED}
-"""Every measured material, by name."""
-ALIASES = {"chicken": "chicken1", "skin": "skin1"}
+ALIASES = {"chicken": "chicken1", "skin": "skin1", "milk": "wholemilk", "ocean": "pacificoceansurfacewater"}
 """Other names of materials. If two samples were measured, the name means the first."""
+_ESTIMATE = "estimate"
+
+
+@functools.cache
+def materials() -> Mapping[str, Material]:
+    """Return every material, by its name without spaces, in the order of the table.
+
+    >>> materials()["marble"].sigma_s_reduced
+    (2.19, 2.62, 3.0)
+    """
+    text = resources.files("formats.scene").joinpath("materials.toml").read_text(encoding="utf-8")
+    found = {}
+    for key, table in tomllib.loads(text).items():
+        for name, row in table["materials"].items():
+            found[_plain(name)] = Material(
+                name=name,
+                group=table["title"],
+                source=table["source"],
+                sigma_s_reduced=tuple(row["scattering"]),
+                sigma_a=tuple(row["absorption"]),
+                eta=row.get("eta", table["eta"]),
+                roughness=row["roughness"],
+                measured=key != _ESTIMATE,
+            )
+    return MappingProxyType(found)
 
 
 def find_material(name: str) -> Material:
-    """Return the material of this name, ignoring case, spaces, hyphens and underscores.
+    """Return the material of this name; only its letters and digits count, in either case.
 
     Raises:
         KeyError: there is none; its argument suggests a similar name, or lists all.
     """
-    plain = "".join(letter for letter in name.casefold() if letter not in " -_")
-    material = MATERIALS.get(ALIASES.get(plain, plain))
+    plain, table = _plain(name), materials()
+    material = table.get(ALIASES.get(plain, plain))
     if material is not None:
         return material
-    known = [*MATERIALS, *ALIASES]
-    close = difflib.get_close_matches(plain, known, n=1)
-    raise KeyError(f"did you mean {close[0]!r}?" if close else f"expected one of {', '.join(sorted(known))}")
+    names = {**{alias: alias for alias in ALIASES}, **{key: found.name for key, found in table.items()}}
+    close = difflib.get_close_matches(plain, names, n=1)
+    raise KeyError(
+        f"did you mean {names[close[0]]!r}?" if close else f"expected one of {', '.join(sorted(names.values()))}"
+    )
+
+
+def _plain(name: str) -> str:
+    return "".join(letter for letter in name.casefold() if letter.isalnum())
 
 
 def to_scene_units(material: Material, phase_g: float, unit_in_mm: float, density: float = 1.0) -> Substance:

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from formats.errors import SceneError
 from formats.scene.file import errors_at, expected, refuse_quoted_number
 from formats.scene.grid import read_grid
-from formats.scene.materials import MILLIMETRES, Substance, find_material, single_scattering_albedo, to_scene_units
+from formats.scene.materials import Substance, find_material, single_scattering_albedo, to_scene_units
 from formats.scene.schema import MediumTable, MixTable, ObjectTable
 from formats.scene.solid_texture import blend_weight
+from formats.scene.units import MILLIMETRES
 
 MOST_MEAN_FREE_PATHS = 1e9
 """Along the longest side of a part; a shorter mean free path is below the resolution of float32 positions."""
@@ -177,17 +178,10 @@ def _refuse_contradictions(table: MediumTable | MixTable, context: MediumContext
 
 
 def _unit_in_mm(context: MediumContext, material: str) -> float:
-    unit, given = context.object_table.unit, context.object_table.unit_in_mm
-    known = MILLIMETRES.get(unit)
-    if known is not None and given is not None and known != given:
-        raise SceneError(
-            f"{context.path}: object.unit_in_mm: is {given:g}, but the unit {unit!r} has {known:g} millimetres; remove "
-            f"one of them"
-        )
-    length = known if given is None else given
+    length = context.object_table.length_in_mm
     if length is None:
         raise SceneError(
-            f"{context.path}: object.unit: {material!r} is measured per millimetre, but {unit!r} is not a known unit "
-            f"of length; expected one of {', '.join(MILLIMETRES)}, or a key such as unit_in_mm = 10.0"
+            f"{context.path}: object.unit: {material!r} is known per millimetre, but {context.object_table.unit!r} is "
+            f"not a known unit of length; expected one of {', '.join(MILLIMETRES)}, or a key such as unit_in_mm = 10.0"
         )
     return length

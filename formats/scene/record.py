@@ -16,6 +16,7 @@ from formats.scene.file import parse_scene
 from formats.scene.medium import Medium
 from formats.scene.parts import Part, read_parts
 from formats.scene.schema import SceneFile
+from formats.summary import summary
 
 __all__ = ["Medium", "Part", "Scene", "read_scene"]
 
@@ -107,6 +108,8 @@ class Scene:
     def bounds(self) -> NDArray[np.float64] | None:
         """Lowest and highest corner of the box of the grids, float64 [2,3]; None without grids."""
         return self.medium.bounds
+
+    __repr__ = summary
 
 
 def read_scene(path: str | os.PathLike[str]) -> Scene:

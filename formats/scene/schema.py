@@ -2,9 +2,10 @@
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationInfo, field_validator, model_validator
 
 from formats.scene.solid_texture import Pattern
+from formats.scene.units import MILLIMETRES, NO_UNIT, unit_symbol
 
 _Unit = Annotated[float, Field(ge=0, le=1)]
 _Extinction = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -26,8 +27,31 @@ class ObjectTable(Table):
 
     mesh: str = Field(min_length=1)
     up: Literal["y", "z"] = "y"
-    unit: str = "unit"
     unit_in_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    unit: str = NO_UNIT
+
+    @field_validator("unit")
+    @classmethod
+    def _known_unit(cls, value: str, info: ValidationInfo) -> str:
+        """Return the symbol of a known unit; another name needs `unit_in_mm`."""
+        given = info.data.get("unit_in_mm")
+        try:
+            symbol = unit_symbol(value)
+        except ValueError as cause:
+            if value == NO_UNIT or given is not None:
+                return value
+            raise ValueError(
+                f"{value!r} is not a known unit of length; {cause}; or add its length, such as unit_in_mm = 10.0"
+            ) from None
+        if given not in (None, MILLIMETRES[symbol]):
+            length = f"{MILLIMETRES[symbol]:g} millimetres"
+            raise ValueError(f"{value!r} has {length}, but unit_in_mm is {given:g}; remove one of them")
+        return symbol
+
+    @property
+    def length_in_mm(self) -> float | None:
+        """Millimetres per scene unit; None if they are not known."""
+        return MILLIMETRES.get(self.unit) if self.unit_in_mm is None else self.unit_in_mm
 
 
 class InterfaceTable(Table):

@@ -19,9 +19,11 @@ from formats.asset import Asset
 from formats.atomic import refuse_unwritable
 from formats.errors import QueryError, refuse_path
 from formats.mesh import Mesh
+from formats.scene import Scene
 from prt_bake.baking.adaptive.run import Run, bake_to_error
 from prt_bake.baking.fixed_samples import bake_by_samples
 from prt_bake.baking.job.arguments import as_light, as_point, refuse_unusable
+from prt_bake.baking.job.effort import choose_effort
 from prt_bake.baking.job.identity import identity_of
 from prt_bake.baking.job.provenance import known_before
 from prt_bake.baking.job.pruning_record import Light
@@ -31,12 +33,13 @@ from prt_bake.baking.lobes.in_bake import counting_lobes, plan_lobes_of_bake
 from prt_bake.baking.output.checkpoint_store import CheckpointStore, open_checkpoint_store
 from prt_bake.baking.output.pruned_sink import WronglyPruned
 from prt_bake.baking.output.sink import asset_head
+from prt_bake.baking.path_traced import PathTraced
 from prt_bake.baking.plan import plan
 from prt_bake.baking.pruning.pruning import ITEMS, choose_pruning
 from prt_bake.jit.limits import limited_threads
 from prt_bake.mathematics import sphere
 
-__all__ = ["ITEMS", "Light", "Progress", "bake", "plan"]
+__all__ = ["ITEMS", "Light", "Progress", "bake", "choose_effort", "plan"]
 
 JOURNAL_VERSION = 3
 """Changes with the names of the checkpoints and of their arrays."""
@@ -49,7 +52,7 @@ def bake(
     rings: int = 16,
     sectors: int = 64,
     directions: str = "fibonacci",
-    samples: int = 64,
+    samples: int | None = None,
     error: float | None = None,
     seed: int = 0,
     *,
@@ -72,14 +75,16 @@ def bake(
     """Bakes `transport` at every vertex of `mesh` and at rings × sectors view bins.
 
     Args:
-        transport: offers evaluate, evaluate_block or estimate_coefficients (`bakers.transport`). It gets NumPy arrays
-            and may return NumPy arrays or torch tensors.
-        mesh: in the transport's object space.
+        transport: a network, a scene, which is path traced, or an object that offers evaluate, evaluate_block or
+            estimate_coefficients (`bakers.transport`). It gets NumPy arrays and may return NumPy arrays or torch
+            tensors.
+        mesh: in the transport's object space; a trimesh mesh too.
         degree: of the spherical harmonics, K = (degree + 1)².
         rings, sectors: view bins of the hemisphere about each vertex normal.
         directions: "fibonacci" (fitted by least squares), "sobol" or "uniform" (summed with equal weights).
-        samples: directions per bin, or random walks if the transport estimates coefficients itself. The default of 64
-            is raised to 2K if that is more.
+        samples: directions per bin, or random walks if the transport estimates coefficients itself. Without samples,
+            error and minutes the bake goes to an error of 2 %; with other directions than "fibonacci", and with random
+            walks, it takes 64 samples, or 2K if that is more.
         error: requested relative RMSE of the coefficients, of the object and of the 95th percentile of its vertices.
             With "fibonacci" directions the bake is adaptive (`prt_bake.baking.adaptive.run`): `samples` is ignored,
             each bin gets as many directions as it needs, and smooth bins are interpolated from their neighbours. With
@@ -140,6 +145,8 @@ def bake(
     began = time.monotonic()
     refuse_path("transport", transport, "prt.load_model")
     refuse_path("mesh", mesh, "prt.read_mesh")
+    if isinstance(transport, Scene):
+        transport = PathTraced(transport)
     refuse_unusable(
         mesh, degree=degree, rings=rings, sectors=sectors, samples=samples, error=error, minutes=minutes, seed=seed,
         workers=workers, leave_out=leave_out, lobes=lobes, directions=directions, precision=precision, storage=storage,
@@ -150,14 +157,8 @@ def bake(
     warn_of_clamped_views(mesh, rings, sectors)
     whole = on_mesh(transport, mesh)
     transport = prepared(up_to(whole, degree), precision, device)
-    walks = transport_kind(transport) == "coefficients"
-    adaptive = directions == "fibonacci" and not walks
-    if minutes is not None and not adaptive:
-        raise QueryError(
-            f"minutes: only bakes with fibonacci directions of a transport that evaluates Ŝ can run for a time, found "
-            f"{'random walks' if walks else f'{directions} directions'}; give samples or an error instead"
-        )
-    adaptive = adaptive and (error is not None or minutes is not None)
+    effort = choose_effort(transport, directions, samples, error, minutes)
+    error = effort.error
     if resume and out is None:
         raise QueryError("resume: expected out, the file of the stopped bake, found none; give out")
     light = as_light(for_light, degree)
@@ -177,7 +178,7 @@ def bake(
         "lobes": lobes,
     }
     # An adaptive bake chooses its own directions.
-    arguments |= {"minutes": minutes} if adaptive else {"directions": directions, "samples": samples}
+    arguments |= {"minutes": minutes} if effort.adaptive else {"directions": directions, "samples": effort.samples}
     transport_hash, evaluations = ("", 0) if out is None else identity_of(transport, mesh, provenance or {})
     identity = {**arguments, "mesh": mesh.content_hash, "transport": transport_hash, "journal_version": JOURNAL_VERSION}
     tangents = sphere.tangent_frame(mesh.normals)
@@ -201,11 +202,11 @@ def bake(
             work.report = report | {"lobes": planned.entry}
             work.progress = counting_lobes(progress, planned.seconds)
             try:
-                if adaptive:
+                if effort.adaptive:
                     deadline = math.inf if minutes is None else began + 60.0 * minutes - planned.seconds
                     asset = bake_to_error(Run(work, store, error, deadline))
                 else:
-                    asset = bake_by_samples(work, store, directions, samples, error)
+                    asset = bake_by_samples(work, store, directions, effort.samples, error)
             except WronglyPruned as wrong:
                 prunable, evaluations = prunable - {wrong.item}, work.evaluations
                 report = report | {"needed_after_all": [*report.get("needed_after_all", []), str(wrong)]}

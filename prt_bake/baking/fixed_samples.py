@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bakers.baker import Block, bake_block
 from bakers.path_traced import Walks, WalkStatistics
 from formats.asset import Asset
-from prt_bake.baking.job.forecast import BakeStatus, Forecast
+from prt_bake.baking.job.forecast import BakeStatus, ErrorFigures, Forecast
 from prt_bake.baking.job.job import Job, resolve
 from prt_bake.baking.job.provenance import not_finite, nothing_done, outcome
 from prt_bake.baking.job.running_error import ErrorMeter
@@ -76,8 +76,9 @@ def _run(work: Work, job: Job, sink: Sink, checkpoints: BlockCheckpoints) -> Ass
             row = (work.seconds, float(work.evaluations), meter.total)
             if not rows or done * ROWS // vertices > len(rows) or done == vertices:
                 rows.append(row)
+                figures = ErrorFigures(meter.total, meter.percentile_95)
             if work.progress is not None:
-                work.progress(done, vertices, BakeStatus(row, forecast.left(done)))
+                work.progress(done, vertices, BakeStatus(row, forecast.left(done), figures=figures))
     except KeyboardInterrupt:
         pass
     finally:

@@ -38,6 +38,33 @@ def open_source(path: str | Path, mesh: Mesh, device: str = "cpu", convention: s
     return load_model(path, device)
 
 
+def own_mesh(path: str | Path, convention: str | None = None) -> Path:
+    """The mesh file of a scene, or of the scene that a model was trained on.
+
+    That scene is looked for by its name, beside the model and in the current folder. Raises QueryError if it is not
+    there or has changed since.
+    """
+    source = existing(path)
+    if source.suffix.lower() == ".toml":
+        return read_scene(source).mesh_path
+    if convention is not None:
+        raise QueryError(f"{path}: a TorchScript function does not know its mesh; give the mesh after it")
+    from prt_bake.network.bssrdf import load_model
+
+    metadata = load_model(source).metadata
+    name = metadata.get("scene")
+    if name is None:
+        raise QueryError(f"{path}: the model does not know its scene's mesh; give the mesh after it")
+    for scene in (source.parent / name, Path(name)):
+        if not scene.is_file():
+            continue
+        found = read_scene(scene)
+        if found.content_hash == metadata.get("scene_hash"):
+            return found.mesh_path
+        raise QueryError(f"{path}: its scene {scene} has changed since the training; give the mesh after the model")
+    raise QueryError(f"{path}: the model's scene {name} is not beside it; give the mesh after the model")
+
+
 def require_device(device: str) -> None:
     """Raises QueryError if networks cannot run on `device`, "cpu" or "cuda"."""
     if device == "cpu":

@@ -96,5 +96,5 @@ def _values(source: Source, points: Points, weights: Array) -> Values:
 
 
 def _picture(source: Source, mesh: Mesh, up: str, size: int, skies: Array) -> Picture:
-    points, pixels = visible(mesh, camera.fit(mesh, size, size, up=up))
+    points, pixels = visible(mesh, camera.fit(mesh, size, size, up=up, view="three-quarter-back"))
     return Picture(points, pixels, _values(source, points, np.ones(len(points.faces))), skies)

@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -20,12 +20,20 @@ from prt_bake.cli.shared.outputs import check_outputs, refuse_existing
 from prt_bake.cli.shared.plan import plan_lines
 from prt_bake.cli.shared.progress import bake_progress, reporting, say, stopping
 
+if TYPE_CHECKING:
+    from prt_bake.baking.bake import Progress
+
+OTHER_EFFORTS = "; --error, --minutes or --samples choose another"
+
 
 @naming_mesh
 def bake(
     context: typer.Context,
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="model.pt (neural) or scene.toml (path traced).")],
-    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="Mesh whose vertices are baked.")],
+    mesh: Annotated[
+        Path | None,
+        typer.Argument(metavar="MESH", help="Mesh whose vertices are baked; by default that of the source's scene."),
+    ] = None,
     output: Annotated[Path | None, output_option("ASSET.h5", ".h5", ".hdf5")] = None,
     rings: Annotated[int, typer.Option(min=1, max=1024, help="View bins along the cosine to the normal.")] = 16,
     sectors: Annotated[int, typer.Option(min=1, max=1024, help="View bins around the normal.")] = 64,
@@ -33,12 +41,19 @@ def bake(
     directions: Annotated[
         Literal["fibonacci", "sobol", "uniform"], typer.Option(help="Point set of the light directions.")
     ] = "fibonacci",
-    samples: Annotated[int, typer.Option(min=1, help="Light directions per view bin; for a scene, paths.")] = 64,
+    samples: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Fixed number of light directions per view bin; for a scene, of paths (64 by default).",
+            show_default=False,
+        ),
+    ] = None,
     error: Annotated[
         float | None,
         typer.Option(
             callback=within(0.0, 1.0),
-            help="Adaptive bake: relative RMSE to reach, of the object and of 95 % of its vertices.",
+            help="Relative RMSE to reach, of the object and of 95 % of its vertices; 0.02 by default for a model.",
             show_default=False,
         ),
     ] = None,
@@ -113,10 +128,6 @@ def bake(
     """
     if output is None and not dry_run:
         raise typer.BadParameter("Missing option '--output' / '-o'; only --dry-run works without it.")
-    inputs = {"SOURCE": source, "MESH": mesh, "--for-light": for_light}
-    check_outputs({"--output": output, "--report": report}, inputs)
-    if output is not None and not dry_run:
-        _refuse_existing(output, force, resume)
     refuse_other_kinds({"SOURCE": (source, SOURCE), "MESH": (mesh, ("mesh",)), "--for-light": (for_light, ("sky",))})
     from bakers.transport import transport_property
     from formats.journal import journal_folder
@@ -124,14 +135,22 @@ def bake(
     from formats.mesh import read_mesh
     from prt_bake.baking import bake as baking
     from prt_bake.baking.report.summary import bake_report
-    from prt_bake.baking.sources import open_source, origin
+    from prt_bake.baking.sources import open_source, origin, own_mesh
 
+    if mesh is None:
+        mesh = own_mesh(source, convention)
+        say(f"bakes on the mesh {mesh}")
+    inputs = {"SOURCE": source, "MESH": mesh, "--for-light": for_light}
+    check_outputs({"--output": output, "--report": report}, inputs)
+    if output is not None and not dry_run:
+        _refuse_existing(output, force, resume)
     surface = read_mesh(mesh)
     transport = open_source(source, surface, device, convention)
     if workers is None:
         walks_here = source.suffix.lower() == ".toml" and scheduler is None and device == "cpu"
         workers = (os.cpu_count() or 1) if walks_here else 1
     sampling = (degree, rings, sectors, directions, samples)
+    effort = baking.choose_effort(transport, directions, samples, error, minutes)
     shared: Any = {
         "precision": precision,
         "storage": storage,
@@ -159,7 +178,7 @@ def bake(
             minutes=minutes,
             out=output,
             scheduler=scheduler,
-            progress=bake_progress(show),
+            progress=_saying(effort.sentence, bake_progress(show, effort.error)),
             stop=stop,
             resume=resume,
             **shared,
@@ -203,6 +222,20 @@ def _refuse_existing(output: Path, force: bool, resume: bool) -> None:
     journal = journal_folder(output)
     unfinished = any(journal.glob("*.npz"))
     refuse_existing([output, *([journal] if unfinished else [])], force, resume if unfinished else None)
+
+
+def _saying(effort: str, progress: "Progress") -> "Progress":
+    """The progress callback, which first says what the bake does, once its arguments and files are in order."""
+    said = False
+
+    def report(done: int, total: int, status: Any) -> None:
+        nonlocal said
+        if not said:
+            said = True
+            say(f"bakes {effort}" + OTHER_EFFORTS * effort.endswith("the default"))
+        progress(done, total, status)
+
+    return report
 
 
 def _prunable_except(kept: list[str], items: tuple[str, ...]) -> list[str]:

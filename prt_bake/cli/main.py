@@ -22,6 +22,7 @@ from prt_bake.cli.importance import importance
 from prt_bake.cli.info import info
 from prt_bake.cli.light import light
 from prt_bake.cli.lobes import lobes
+from prt_bake.cli.making.make import make
 from prt_bake.cli.render import render
 from prt_bake.cli.reports.group import report
 from prt_bake.cli.sample import sample
@@ -31,6 +32,8 @@ from prt_bake.cli.shared.help import Groups
 from prt_bake.cli.shared.progress import say
 from prt_bake.cli.shared.verbose import detail, error_detail, verbosely
 from prt_bake.cli.start.example import example
+from prt_bake.cli.start.init import init
+from prt_bake.cli.start.materials import materials
 from prt_bake.cli.train import train
 from prt_bake.cli.view import view
 from prt_bake.jit import notice
@@ -47,15 +50,17 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
-    "Main commands": {"demo": demo, "train": train, "bake": bake, "shade": shade, "view": view},
+    "Main commands": {"init": init, "train": train, "bake": bake, "shade": shade, "view": view},
+    "In one step": {"make": make, "demo": demo, "example": example},
     "Make assets": {"sample": sample, "importance": importance, "lobes": lobes, "compress": compress},
     "Pictures and light": {"render": render, "light": light},
     "Measure": {"compare": compare},
-    "Files": {"info": info, "check": check, "example": example, "export": export},
+    "Files": {"info": info, "check": check, "materials": materials, "export": export},
 }
+_WITHOUT_ARGUMENTS = ("demo", "materials")
 for group, commands in COMMANDS.items():
     for name, command in commands.items():
-        app.command(name, no_args_is_help=name != "demo", rich_help_panel=group)(command)
+        app.command(name, no_args_is_help=name not in _WITHOUT_ARGUMENTS, rich_help_panel=group)(command)
 
 app.add_typer(report, name="report", rich_help_panel="Measure")
 

@@ -11,6 +11,7 @@ from prt_bake.cli.shared.kinds import LIGHT, SOURCE, refuse_other_kinds
 from prt_bake.cli.shared.mesh_name import naming_mesh
 from prt_bake.cli.shared.next_step import say_next
 from prt_bake.cli.shared.options import (
+    FLAT_SHADED,
     IMAGE_SUFFIXES,
     USUAL_FOV,
     Device,
@@ -23,11 +24,13 @@ from prt_bake.cli.shared.options import (
     Mend,
     Orthographic,
     PictureSize,
+    ReflectionNormals,
     ReportFile,
     Rotate,
     Seed,
     Size,
     Up,
+    View,
     optional_output,
     output_option,
     refuse_unseen_exposure,
@@ -48,9 +51,7 @@ def render(
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="model.pt (a network) or scene.toml (path traced).")],
     mesh: Annotated[
         Path,
-        typer.Argument(
-            metavar="MESH", help="The model's object; for a scene, the mesh that the camera frames, as in shade."
-        ),
+        typer.Argument(metavar="MESH", help="The object of the model or the scene."),
     ],
     light: Lights,
     output: Annotated[Path, output_option("IMAGE", *IMAGE_SUFFIXES)],
@@ -79,6 +80,7 @@ def render(
             help="Add the light reflected at the surface.",
         ),
     ] = False,
+    normals: ReflectionNormals = None,
     unscattered: Annotated[
         bool,
         typer.Option(
@@ -109,6 +111,7 @@ def render(
     ] = None,
     every: Annotated[float, typer.Option(min=0, max=1e6, help="Seconds between previews.")] = 10.0,
     size: PictureSize = Size(640, 480),
+    side: View = None,
     eye: Eye = None,
     look_at: LookAt = None,
     fov: Fov = USUAL_FOV,
@@ -151,13 +154,17 @@ def render(
 
     is_scene = source.suffix.lower() == ".toml"
     refuse_unseen_exposure(exposure, output, preview)
+    if normals is not None and not reflection:
+        raise typer.BadParameter("--normals: applies to the reflection; add --reflection")
     if is_scene:
         _refuse_network_options(sampling, device, precision, workers)
     surface = read_mesh(mesh)
     opened = _open(source, surface, device)
+    if is_scene:
+        _refuse_other_object(opened, surface, mesh)
     axis = up or (opened.up if is_scene else opened.metadata.get("up", "y"))
     lighting = read_lighting(light, axis, rotate, mend=mend, say=say, mesh=surface)
-    view = camera_for(surface, size, axis, eye, look_at, fov, orthographic, extent)
+    view = camera_for(surface, size, axis, side, eye, look_at, fov, orthographic, extent)
     if resume and spp is None and minutes is None and error is None:
         limits = stored_limits(checkpoint)
         spp, minutes, error = limits.get("spp"), limits.get("minutes"), limits.get("error")
@@ -168,6 +175,7 @@ def render(
         options: dict[str, Any] = {
             "up": up,
             "reflection": reflection,
+            "normals": normals,
             "error": error,
             "minutes": minutes,
             "checkpoint": checkpoint,
@@ -198,6 +206,8 @@ def render(
         say(f"{output}: {picture.negative:.1%} of the object's radiance is negative, as predicted by the network")
     if not picture.coverage.any():
         say(f"{output}: the camera sees nothing of the object; turn it to the object, or bring it nearer")
+    if reflection and normals is None and surface.flat_shaded:
+        say(f"{mesh}: {FLAT_SHADED}")
     if picture.black:
         say(f"{output}: the object is black; if it should receive light, render more {_unit(is_scene)}")
     if report is not None:
@@ -223,6 +233,18 @@ def _refuse_network_options(sampling: str | None, device: str, precision: str, w
     ):
         if given:
             raise typer.BadParameter(f"{name} is for networks; omit it, since a scene (.toml) is path traced")
+
+
+def _refuse_other_object(scene: Any, surface: Any, mesh: Path) -> None:
+    """Raise QueryError if the mesh is not the scene's: it would be framed, and the scene's rendered."""
+    from formats.errors import QueryError
+    from prt_bake.geometry.same_shape import foreign_vertices
+
+    if foreign := foreign_vertices(surface, scene.mesh) or foreign_vertices(scene.mesh, surface):
+        raise QueryError(
+            f"{mesh}: expected the object of {scene.path}, found another one: {foreign} vertices differ; a scene is "
+            f"rendered with its own mesh, so give {scene.parts[0].mesh_path}"
+        )
 
 
 def _open(source: Path, surface: Any, device: str) -> Any:

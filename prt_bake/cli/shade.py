@@ -1,5 +1,6 @@
 """`prtbake shade`: relights a baked asset and writes the picture."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -10,6 +11,7 @@ from formats.extras import require
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.options import (
     ANIMATION_SUFFIXES,
+    FLAT_SHADED,
     IMAGE_SUFFIXES,
     USUAL_FOV,
     Exposure,
@@ -21,10 +23,12 @@ from prt_bake.cli.shared.options import (
     Mend,
     Orthographic,
     PictureSize,
+    ReflectionNormals,
     Rotate,
     Size,
     Suns,
     Up,
+    View,
     optional_output,
     output_option,
     refuse_unseen_exposure,
@@ -42,6 +46,7 @@ def shade(
     light: Lights,
     output: Annotated[Path, output_option("IMAGE", *IMAGE_SUFFIXES, *ANIMATION_SUFFIXES)],
     size: PictureSize = Size(640, 480),
+    side: View = None,
     eye: Eye = None,
     look_at: LookAt = None,
     fov: Fov = USUAL_FOV,
@@ -50,6 +55,10 @@ def shade(
     up: Up = None,
     rotate: Rotate = 0.0,
     exposure: Exposure = 0.0,
+    tone_map: Annotated[
+        Literal["none", "agx"],
+        typer.Option(help="Of .png and animations: none clips bright light; agx, as in Blender, turns it white."),
+    ] = "none",
     reflection: Annotated[
         bool,
         typer.Option(
@@ -65,6 +74,7 @@ def shade(
             show_default=False,
         ),
     ] = None,
+    normals: ReflectionNormals = None,
     transparent: Annotated[
         bool, typer.Option("--transparent", help="Write an alpha channel instead of the background (.exr, .png).")
     ] = False,
@@ -78,13 +88,15 @@ def shade(
     ] = "",
     error_picture: Annotated[
         Path | None,
-        optional_output("--error-picture", "E.png", "Also write the error of each pixel in false colours.", ".png"),
+        optional_output(
+            "--error-picture", "E.png", "Also write the error of each pixel in false colours, of the same size.", ".png"
+        ),
     ] = None,
     turntable: Annotated[
         Literal["eye", "light"] | None,
         typer.Option(
-            help="Move the eye or the light once around the object: an animation (.png, .webp, .gif), or numbered "
-            "pictures if the name has a number in it (turn_%03d.png).",
+            help="Move the eye or the light once around the object: an animation (.webp, .mp4, .gif, .png), or "
+            "numbered pictures if the name has a number in it (turn_%03d.png).",
             show_default=False,
         ),
     ] = None,
@@ -100,8 +112,12 @@ def shade(
     light reflected at the surface. An .exr has the standard error of the bake (error.R, error.G, error.B) and the
     object's coverage (coverage.Y).
     """
-    _refuse_ineffective(output, transparent, layers, turntable, error_picture, reflection, roughness)
+    _refuse_ineffective(output, transparent, layers, turntable, error_picture, reflection, roughness, normals)
     refuse_unseen_exposure(exposure, output)
+    if tone_map != "none" and output.suffix.lower() in (".exr", ".hdr"):
+        raise typer.BadParameter(
+            f"--tone-map: has no effect on {output.suffix.lower()}, which stores radiance; omit it"
+        )
     if turntable is None and (frames, seconds) != (_FRAMES, _SECONDS):
         raise typer.BadParameter("--frames and --seconds apply to turntables; add --turntable eye")
     check_outputs(
@@ -112,16 +128,18 @@ def shade(
     if error_picture is not None:
         require("--error-picture", "matplotlib")
     from formats.asset import read_asset
+    from formats.image.animation import refuse_unavailable
     from prt_bake.cli.shared.viewing import camera_for
     from prt_bake.lights.lighting import read_lighting
     from prt_bake.lights.skies.downsampled import rows_shown
     from prt_bake.shading.selftest import warn_of_failed_selftest
 
+    refuse_unavailable(output, size.width, size.height)
     baked = read_asset(asset)
     warn_of_failed_selftest(baked, asset)
     axis = up or baked.up
     turns = frames if turntable == "eye" else 1
-    view = camera_for(baked.mesh, size, axis, eye, look_at, fov, orthographic, extent, turns)
+    view = camera_for(baked.mesh, size, axis, side, eye, look_at, fov, orthographic, extent, turns)
     rows = rows_shown(view.height, view.fov)
     lighting = read_lighting(
         light, axis, rotate, mend=mend, say=say, mesh=baked.mesh, most_rows=rows, degree=baked.degree
@@ -132,25 +150,32 @@ def shade(
         "background": not transparent,
         "reflection": reflection,
         "roughness": None if roughness is None else _read_roughness(roughness),
+        "normals": normals,
         "layers": _names(layers, error_picture is not None),
         "suns": suns,
     }
     if turntable is None:
-        picture = _write_picture(output, baked, lighting, view, options, exposure)
+        picture = _write_picture(output, baked, lighting, view, options, exposure, tone_map)
     else:
-        picture = _write_turntable(output, baked, lighting, view, options, exposure, turntable, frames, seconds)
+        turn = turntable, frames, seconds
+        picture = _write_turntable(output, baked, lighting, view, options, exposure, tone_map, turn)
     if error_picture is not None:
         from prt_bake.shading.error_picture import write_error_picture
 
-        write_error_picture(error_picture, picture)
+        largest = write_error_picture(error_picture, picture)
     for remark in _remarks(baked, light, rotate, view.eye, picture, reflection):
         say(f"{asset}: {remark}")
-    print(f"{asset}: error of the coefficients {baked.error}")
-    error = f"{picture.relative_error:.2%} of the object's radiance" if picture.relative_error else "unknown"
+    if picture.reflects and normals is None and baked.mesh.flat_shaded:
+        say(f"{asset}: {FLAT_SHADED}")
+    print(f"{output}: error {picture.errors}")
+    if error_picture is not None:
+        print(
+            f"{error_picture}: standard error of the bake and the noise at each pixel, from 0 (dark blue) to "
+            f"{largest:.1%} of its radiance (yellow)"
+        )
     print(
         f"{output}: {picture.shaded} vertices in {picture.seconds:.2f} s, clamped negative radiance "
-        f"{abs(picture.clamped):.3%} of the energy, projection error {error}"
-        + _light_figures(baked, picture.suns, suns, bool(lighting.skies))
+        f"{abs(picture.clamped):.3%} of the energy" + _light_figures(baked, picture.suns, suns, bool(lighting.skies))
     )
 
 
@@ -173,18 +198,27 @@ def _light_figures(baked: Any, count: int, treatment: str, beside_a_sky: bool) -
     return f", {count} {'sun' if count == 1 else 'suns'}{action}{lobes}"
 
 
-def _write_picture(output: Path, baked: Any, lighting: Any, view: Any, options: dict[str, Any], exposure: float) -> Any:
+def _write_picture(
+    output: Path, baked: Any, lighting: Any, view: Any, options: dict[str, Any], exposure: float, tone_map: str
+) -> Any:
     from formats.image import write_image
     from prt_bake.shading.picture import render_picture
+    from prt_bake.shading.tone_map import agx
 
     picture = render_picture(baked, lighting, view, **options)
+    alpha = None if options["background"] else picture.coverage
+    mapped = tone_map == "agx"
     write_image(
         output,
-        picture.image,
-        exposure=exposure,
+        agx(picture.image, exposure, alpha) if mapped else picture.image,
+        exposure=0.0 if mapped else exposure,
         layers={"error": picture.error, "coverage": picture.coverage, **picture.layers},
-        attributes={"prtbake.shows": _shows(picture), "prtbake.error": "projection"},
-        alpha=None if options["background"] else picture.coverage,
+        attributes={
+            "prtbake.shows": _shows(picture),
+            "prtbake.error": "projection",
+            "prtbake.picture_error": json.dumps(picture.errors and picture.errors.as_json()),
+        },
+        alpha=alpha,
     )
     return picture
 
@@ -196,27 +230,29 @@ def _write_turntable(
     view: Any,
     options: dict[str, Any],
     exposure: float,
-    turning: Literal["eye", "light"],
-    frames: int,
-    seconds: float,
+    tone_map: str,
+    turn: tuple[Literal["eye", "light"], int, float],
 ) -> Any:
-    """Write a turntable and return its last picture."""
+    """Write a turntable, `turn` being what turns, the frames and the seconds, and return its last picture."""
     from formats.image.animation import write_animation, write_sequence
+    from prt_bake.shading.tone_map import agx
     from prt_bake.shading.turntable import turntable
 
     last: list[Any] = []
+    turning, frames, seconds = turn
+    stops = 0.0 if tone_map == "agx" else exposure
 
     def images(show: Report) -> Iterator[Any]:
         for number, picture in enumerate(turntable(baked, lighting, view, frames, turning, **options), start=1):
             last[:] = [picture]
             show(number / frames, f"{number} of {frames} pictures")
-            yield picture.image
+            yield agx(picture.image, exposure) if tone_map == "agx" else picture.image
 
     with reporting("turn") as show:
         if "%" in output.name:
-            write_sequence(output, images(show), exposure=exposure)
+            write_sequence(output, images(show), exposure=stops)
         else:
-            write_animation(output, images(show), exposure=exposure, seconds_a_frame=seconds / frames)
+            write_animation(output, images(show), exposure=stops, seconds_a_frame=seconds / frames)
     return last[0]
 
 
@@ -228,6 +264,7 @@ def _refuse_ineffective(
     error_picture: Path | None,
     reflection: bool,
     roughness: str | None,
+    normals: str | None,
 ) -> None:
     """Raise typer.BadParameter for options that need others, or that the output's format cannot store."""
     suffix = output.suffix.lower()
@@ -235,13 +272,14 @@ def _refuse_ineffective(
         raise typer.BadParameter(f"--output: {suffix} is for turntables; add --turntable eye, or write .png or .exr")
     if turntable is not None and "%" not in output.name and suffix not in ANIMATION_SUFFIXES:
         raise typer.BadParameter(
-            f"--output: a single {suffix} cannot store a turntable; write .webp, .gif, .png, or numbered pictures "
-            "(turn_%03d.exr)"
+            f"--output: a single {suffix} cannot store a turntable; write .webp, .mp4, .gif, .png, or numbered "
+            "pictures (turn_%03d.exr)"
         )
     if turntable is None and "%" in output.name:
         raise typer.BadParameter(f"--output: {output.name} names numbered pictures; add --turntable eye")
-    if roughness is not None and not reflection:
-        raise typer.BadParameter("--roughness: applies to the reflection; add --reflection")
+    for name, value in (("--roughness", roughness), ("--normals", normals)):
+        if value is not None and not reflection:
+            raise typer.BadParameter(f"{name}: applies to the reflection; add --reflection")
     if turntable is not None and (transparent or layers or error_picture is not None):
         raise typer.BadParameter("--turntable: cannot be combined with --transparent, --layers or --error-picture")
     if transparent and suffix not in (".exr", ".png"):

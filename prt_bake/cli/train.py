@@ -1,5 +1,6 @@
 """`prtbake train`: path traces a scene and fits a model to it."""
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -18,11 +19,21 @@ if TYPE_CHECKING:
     from prt_bake.trainer.train import TrainingProgress
 
 
+_START_AND_END = 2.0
+"""Seconds in which Python starts and ends, which are part of the wall time."""
+
+
 def train(
     scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene to train on.")],
     output: Annotated[Path, output_option("MODEL.pt", ".pt", ".safetensors")],
     minutes: Annotated[
-        float, typer.Option(min=1e-3, max=1e6, help="Training time, including earlier runs that --resume continues.")
+        float,
+        typer.Option(
+            min=1e-3,
+            max=1e6,
+            help="Wall time, 1 or more, with report and importance module; longer only if kernels are compiled first, "
+            "since learning keeps half of it. Includes earlier runs that --resume continues.",
+        ),
     ] = 10.0,
     steps: Annotated[
         int | None, typer.Option(min=1, help="Total optimiser steps, instead of --minutes.", show_default=False)
@@ -63,6 +74,7 @@ def train(
     the model; --resume continues it. Then measures the model and fits its importance module, from which `prtbake
     render` draws light directions.
     """
+    began = time.perf_counter() - _START_AND_END
     outputs: dict[str, Paths] = {"--output": output, "the checkpoint": state_path(output)}
     outputs |= {"--report": report_paths(output)} if with_report else {}
     outputs |= {"--importance": importance_path(output)} if with_importance else {}
@@ -76,61 +88,84 @@ def train(
 
     from formats.scene import read_scene
     from prt_bake.cli.shared import after_training
+    from prt_bake.importance.own_lobes import own_lobes
     from prt_bake.network.settings import PRESETS
+    from prt_bake.trainer.budget import Budget
     from prt_bake.trainer.cores import select_device
     from prt_bake.trainer.train import train as fit
 
     selected, read = select_device(device), read_scene(scene)
-    with reporting("train") as show, stopping() as stop:
+    budget = Budget(minutes, began, report=with_report, importance=with_importance) if steps is None else None
+    with stopping() as stop:
+        stop.at_once = True
+        with reporting("train", "loading") as show:
 
-        def report(row: "TrainingProgress") -> None:
-            show(row.share, _progress_text(row))
-            if stop():
-                raise KeyboardInterrupt
+            def part(name: str, share: float) -> None:
+                # Only learning has something to finish: a step, and the model.
+                stop.at_once = name != "learning"
+                if stop.at_once:
+                    after_training.show_part(show, name, share, budget)
 
-        network = fit(
-            read,
-            minutes=minutes,
-            steps=steps,
-            seed=seed,
-            settings=replace(PRESETS[preset], seed=seed),
-            device=selected,
-            output=output,
-            resume=resume,
-            synchronous=synchronous,
-            samples=samples,
-            progress=report,
-            say=say,
-        )
-        stopped = stop()
-    for sentence in _figures(network.metadata["training"]):
-        print(f"{output}: {sentence}")
-    if stopped:
-        raise PrtbakeError(f"{output}: the training was stopped; the model is written, and --resume continues it")
-    if with_report:
-        after_training.report(network, read, output, seed)
-    if with_importance:
-        after_training.importance(network, read, output, seed)
+            def report(row: "TrainingProgress") -> None:
+                share, left = (row.share, None) if budget is None else (budget.share, budget.left)
+                show(share, f"error {row.validation:.1%}", left, _details(row))
+
+            network = fit(
+                read,
+                minutes=minutes,
+                steps=steps,
+                seed=seed,
+                settings=replace(PRESETS[preset], seed=seed),
+                device=selected,
+                output=output,
+                resume=resume,
+                synchronous=synchronous,
+                samples=samples,
+                progress=report,
+                say=say,
+                stop=stop,
+                part=part,
+                budget=budget,
+            )
+        stop.at_once = True
+        for sentence in _figures(network.metadata["training"]):
+            print(f"{output}: {sentence}")
+        if network.metadata["training"]["stopped"]:
+            raise PrtbakeError(f"{output}: the training was stopped; the model is written, and --resume continues it")
+        reported = False
+        try:
+            if with_report:
+                module = with_importance and own_lobes(network) is None
+                reported = after_training.report(network, read, output, seed, budget, module)
+            if with_importance:
+                after_training.importance(network, read, output, seed, budget)
+        except KeyboardInterrupt:
+            pass
+        if not reported:
+            print(f"{output}: {after_training.verdict_of(network)}")
+        if stop():
+            raise PrtbakeError(f"{output}: the model is complete, and what should follow it was stopped")
     say_next("prtbake", "bake", output, read.mesh_path, "-o", output.with_suffix(".h5"))
 
 
-def _progress_text(row: "TrainingProgress") -> str:
+def _details(row: "TrainingProgress") -> str:
     return (
-        f"step {row.step}, loss {row.loss:.4g}, validation error {row.validation:.2%}, "
-        f"{row.queries_per_second:,.0f} queries/s (each used {row.reuse:.2g} times, {row.waited:.0%} waiting), "
-        f"{row.walks_per_second:,.0f} paths/s" + (f" ({row.walking:.0%} path tracing)" if row.walking else "")
+        f"step {row.step} · loss {row.loss:.4g} · {row.queries_per_second:,.0f} queries/s · "
+        f"{row.walks_per_second:,.0f} paths/s"
     )
 
 
 def _figures(training: dict[str, Any]) -> list[str]:
     """Return the results of a training as sentences."""
-    sentences = [f"{training['steps']} steps, {training['walks']:,} paths in {training['seconds']:.0f} s"]
+    sentences = [f"{training['steps']} steps, {training['walks']:,} paths in {training['seconds']:.0f} s of learning"]
     if "test_relative_rmse" in training:
         test, samples = training["test_relative_rmse"], training["samples"]
         sentences.append(
             f"relative RMSE on the {samples['test_queries']:,} test queries of {samples['file']} "
             f"{test['transport']:.2%} (without the noise, {test['transport_noise']:.2%})"
         )
+    if "relative_rmse" not in training:
+        return [*sentences, "its errors are not measured; `prtbake report training` measures them"]
     rmse = training["relative_rmse"]
     names = {"transport": "of the transport function", "coefficients": "of the coefficients"}
     if rmse["transport_noise"] is None:

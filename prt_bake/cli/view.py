@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from formats.errors import QueryError, StorageError
+from formats.errors import QueryError
+from formats.extras import require
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.options import (
     USUAL_FOV,
@@ -22,6 +23,7 @@ from prt_bake.cli.shared.options import (
     Size,
     Suns,
     Up,
+    View,
     optional_output,
     read_size,
 )
@@ -67,6 +69,7 @@ def view(
             show_default=False,
         ),
     ] = None,
+    side: View = None,
     eye: Eye = None,
     look_at: LookAt = None,
     fov: Fov = USUAL_FOV,
@@ -84,7 +87,7 @@ def view(
         raise QueryError(f"view: {_WITHOUT_DISPLAY}")
     check_outputs({"--screenshot": screenshot}, {"ASSET": asset, "--light": light, "--compare": compare})
     refuse_other_kinds({"ASSET": (asset, ("asset",)), "--light": (light, LIGHT), "--compare": (compare, ("sky",))})
-    options = _Options(light, up, rotate, exposure, mend, suns, compare, size, eye, look_at, fov)
+    options = _Options(light, up, rotate, exposure, mend, suns, compare, size, side, eye, look_at, fov)
     from formats.asset import read_asset
 
     with ThreadPoolExecutor(1) as executor:
@@ -95,14 +98,16 @@ def view(
         if reading.done():
             reading.result()  # an unreadable file is reported before a window opens
         initial = size or DEFAULT_SIZE
-        canvas = window.Canvas(initial.width, initial.height, screenshot is not None, f"{asset.name} - prtbake")
-        if screenshot is None and not canvas.on_display:
+        off_screen = screenshot is not None
+        plotter = window.open_plotter(initial.width, initial.height, off_screen, f"{asset.name} - prtbake")
+        if not off_screen and not window.on_display(plotter):
             raise QueryError(f"view: {_WITHOUT_DISPLAY}")
-        canvas.open()
-        opened = _open(reading.result(), options, screenshot is not None)
+        plotter.show(auto_close=False, interactive=False)
+        opened = _open(reading.result(), options, off_screen)
+    print(f"{asset}: error of the coefficients {opened.preview.asset.error}")
     for remark in _remarks(opened.preview):
         say(f"{asset}: {remark}")
-    _show(window, canvas, opened, asset.name, screenshot, compare)
+    _show(window, plotter, opened, asset.name, screenshot, compare)
 
 
 class _Options(NamedTuple):
@@ -116,6 +121,7 @@ class _Options(NamedTuple):
     suns: "SunTreatment"
     compare: Path | None
     size: Size | None
+    side: str | None
     eye: Point | None
     look_at: Point | None
     fov: float
@@ -139,15 +145,15 @@ def _open(baked: "Asset", options: _Options, refined: bool) -> _Opened:
 
     light = options.light
     if light is None:
-        from importlib import resources
+        from prt_bake.preview.polydata import shipped_sky
 
-        light = [str(resources.files("prt_bake.shipped") / "sky.hdr")] if baked.quantity == "transfer" else []
+        light = [shipped_sky()] if baked.quantity == "transfer" else []
     axis = options.up or baked.up
     sources = [LightSource(text, axis, baked.degree, options.mend, say, baked.mesh) for text in light]
     preview = Preview(baked, sources, up=axis, rotation=options.rotate, exposure=options.exposure, suns=options.suns)
     reference = None if options.compare is None else read_image(options.compare)
     shape = options.size or (DEFAULT_SIZE if reference is None else Size(reference.shape[1], reference.shape[0]))
-    start = camera_for(baked.mesh, shape, axis, options.eye, options.look_at, options.fov, False, None)
+    start = camera_for(baked.mesh, shape, axis, options.side, options.eye, options.look_at, options.fov, False, None)
     camera.refuse_eye_in_object(baked.mesh, start.eye)
     if refined:
         preview.refine(start.eye)
@@ -156,28 +162,23 @@ def _open(baked: "Asset", options: _Options, refined: bool) -> _Opened:
 
 
 def _load_window() -> Any:
-    try:
-        from prt_bake.preview import window
-    except ModuleNotFoundError as cause:
-        if (cause.name or "").partition(".")[0] not in ("vtk", "vtkmodules"):
-            raise
-        raise StorageError(
-            "view: the window needs VTK, which is not installed; pip install 'prt-bake[preview]'"
-        ) from cause
+    require("view", "pyvista")
+    from prt_bake.preview import window
+
     return window
 
 
-def _show(window: Any, canvas: Any, opened: _Opened, name: str, screenshot: Path | None, compare: Path | None) -> None:
+def _show(window: Any, plotter: Any, opened: _Opened, name: str, screenshot: Path | None, compare: Path | None) -> None:
     preview, start, reference = opened
-    canvas.resize(start.width, start.height)
-    scene_view = window.View(preview, canvas, start, reference)
+    plotter.window_size = [start.width, start.height]
+    scene_view = window.View(preview, plotter, start, reference)
     if screenshot is not None:
         scene_view.refine()
         window.write_picture(screenshot, scene_view.picture())
         print(f"{screenshot}: {start.width}x{start.height} pixels")
     else:
         window.Window(scene_view, name, None if compare is None else compare.name).run()
-    canvas.close()
+    plotter.close()
 
 
 def _remarks(preview: "Preview") -> list[str]:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.errors import QueryError, refuse_path
 from formats.image.png import to_srgb
+from formats.summary import summary
 from prt_bake.comparison.flip import (
     Exposures,
     evaluate_extra,
@@ -64,6 +65,8 @@ class Comparison:
         if self.hdr_exposures is not None:
             figures |= {"hdr_flip": self.hdr_flip, "hdr_exposures": self.hdr_exposures._asdict()}
         return figures
+
+    __repr__ = summary
 
 
 def compare(

@@ -7,7 +7,7 @@ lose no precision.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,8 +19,16 @@ from formats.mesh.geometry import MOST_COORDINATE
 Array = NDArray[np.float64]
 
 _AXES = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-_VIEW = {"y": np.array([-0.43, 0.24, -0.87]), "z": np.array([-0.43, 0.87, 0.24])}
-"""Direction from the object to the default eye: in front (−z with y up), a little to the side and above."""
+View = Literal["front", "back", "left", "right", "three-quarter", "three-quarter-back"]
+_FROM: dict[View, tuple[float, float, float]] = {
+    "front": (0.0, 0.0, 1.0),
+    "back": (0.0, 0.0, -1.0),
+    "left": (-1.0, 0.0, 0.0),
+    "right": (1.0, 0.0, 0.0),
+    "three-quarter": (0.43, 0.24, 0.87),
+    "three-quarter-back": (-0.43, 0.24, -0.87),
+}
+"""Direction from the object to the eye with y up, as in glTF, whose front is +z. With z up, as in Blender, it is −y."""
 _MARGIN = 1.08
 _MOST_TURNS = 72
 """Between turns 5° apart the object stays within the margin."""
@@ -114,6 +122,7 @@ def fit(
     up: str = "y",
     fov: float = 30.0,
     *,
+    view: View | None = None,
     target: ArrayLike | None = None,
     orthographic: bool = False,
     extent: float | None = None,
@@ -121,24 +130,29 @@ def fit(
 ) -> Camera:
     """A camera that looks at `target`, by default the centre of the mesh.
 
-    Without an `eye` the camera is placed where the object just fills the frame. An `orthographic` camera fits its frame
+    Without an `eye` the camera is placed where the object just fills the frame, on the side that `view` names: "front"
+    (+z with y up, −y with z up), "back", "left" (−x), "right" (+x), "three-quarter" (from the front, the right and
+    above, the default) or "three-quarter-back" (opposite to it, and above). An `orthographic` camera fits its frame
     to the object from any eye, unless `extent` is given. The object fits in all of `turns` views, evenly spaced around
     the up axis through the target.
 
-    Raises QueryError for sizes, angles, axes, extents or eyes that define no picture.
+    Raises QueryError for sizes, angles, axes, extents or eyes that define no picture, for an unknown `view`, and for a
+    `view` beside an `eye`.
 
     >>> import prt_bake as prt
     >>> import trimesh
     >>> ball = trimesh.creation.icosphere()
-    >>> camera = prt.fit_camera(prt.Mesh(ball.vertices, ball.faces, ball.vertex_normals), width=64, height=64)
-    >>> camera.target.round(6).tolist()
-    [0.0, 0.0, 0.0]
+    >>> mesh = prt.Mesh(ball.vertices, ball.faces, ball.vertex_normals)
+    >>> prt.fit_camera(mesh, width=64, height=64, view="front").eye.round(1).tolist()
+    [0.0, 0.0, 4.2]
     """
     if up not in _AXES:
         raise QueryError(f'camera: expected up to be "y" or "z", found {up!r}')
+    if view is not None and eye is not None:
+        raise QueryError(f"camera: expected a view or an eye, found both, {view!r} and {np.asarray(eye).tolist()}")
     center, above = mesh.center if target is None else _point(target, "target"), np.array(_AXES[up])
-    view = _VIEW[up] / np.linalg.norm(_VIEW[up])
-    camera = Camera(center + view if eye is None else _point(eye, "eye"), center, above, fov, width, height, extent)
+    towards = direction_of_view(view or "three-quarter", up)
+    camera = Camera(center + towards if eye is None else _point(eye, "eye"), center, above, fov, width, height, extent)
     relative, aspect = mesh.positions - center, width / height
     if orthographic and extent is None:
         forward = camera.forward
@@ -148,10 +162,24 @@ def fit(
         return camera
     if camera.extent is not None:
         # Any distance at which the object is in front of the camera will do.
-        nearest = max(float(np.max(rotated @ view)) for rotated in _rotated(relative, turns, above))
-        return replace(camera, eye=center + view * (nearest + mesh.diagonal))
-    distance = max(_distance_to_fit(rotated, view, above, fov, aspect) for rotated in _rotated(relative, turns, above))
-    return replace(camera, eye=center + view * distance)
+        nearest = max(float(np.max(rotated @ towards)) for rotated in _rotated(relative, turns, above))
+        return replace(camera, eye=center + towards * (nearest + mesh.diagonal))
+    distance = max(
+        _distance_to_fit(rotated, towards, above, fov, aspect) for rotated in _rotated(relative, turns, above)
+    )
+    return replace(camera, eye=center + towards * distance)
+
+
+def direction_of_view(view: View, up: str = "y") -> Array:
+    """Unit direction [3] from the object to the eye of a view, with `up` "y" or "z".
+
+    Raises QueryError for an unknown view.
+    """
+    if view not in _FROM:
+        raise QueryError(f"camera: expected a view of {', '.join(_FROM)}, found {view!r}")
+    x, y, z = _FROM[view]
+    towards = np.array([x, y, z] if up == "y" else [x, -z, y])
+    return np.asarray(towards / np.linalg.norm(towards))
 
 
 def rays(camera: Camera, rows: slice, offsets: Array) -> Rays:

@@ -33,6 +33,12 @@ def find_faults(path: Path) -> list[str]:
 
 
 def find_remarks(path: str | Path) -> list[str]:
-    """Return a remark on texture coordinates outside the image, if there are any."""
-    remark = texture_remark(read_mesh(path))
-    return [f"{path}: {remark}"] if remark else []
+    """Return remarks on texture coordinates outside the image, and on flat shading."""
+    mesh = read_mesh(path)
+    remarks = [texture_remark(mesh)] if texture_remark(mesh) else []
+    if mesh.flat_shaded:
+        remarks.append(
+            "it is flat shaded, one normal per face, so that reflections show its faces; export it with smooth "
+            "normals, or use --normals vertex"
+        )
+    return [f"{path}: {remark}" for remark in remarks]

@@ -6,20 +6,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.mesh import texture_remark
-from formats.scene import read_scene
+from formats.mesh import check_mesh, good_normals, texture_remark
+from formats.scene import Scene, read_scene
 from formats.scene.file import find_table_faults
 from formats.scene.materials import find_material
 from formats.scene.parts import Part
 from formats.scene.schema import MediumTable
+from prt_bake.inspection import translucency
 
 
 def describe(path: Path) -> dict[str, Any]:
     """Return the quantities of the object, then those of the parts inside it under their names."""
     scene = read_scene(path)
     tables = [scene.tables.medium, *(table.medium for table in scene.tables.inside)]
+    length = scene.tables.object.length_in_mm
     outermost, *inner = [
-        {**_describe_part(part), **_describe_materials(part, table)}
+        {**_describe_part(part), **_describe_materials(part, table), **_describe_translucency(part, length)}
         for part, table in zip(scene.parts, tables, strict=True)
     ]
     inside = {
@@ -55,15 +57,24 @@ def find_faults(path: Path) -> list[str]:
 def find_remarks(path: str | Path) -> list[str]:
     """Return remarks on a sound scene as sentences.
 
-    They name parts that stick out of their parents, grids beside their parts, the energy that rough boundaries lose to
-    single scattering, images that repeat, and scenes that networks learn badly.
+    They name faults of meshes that a scene mends, objects that will look opaque or clear, parts that stick out of
+    their parents, grids beside their parts, the energy that rough boundaries lose to single scattering, images that
+    repeat, facets, and scenes that networks learn badly.
     """
     from prt_bake.geometry.nesting import protruding_parts
     from prt_bake.trainer.scene_warnings import training_warning
 
     scene = read_scene(path)
     parts, warning = scene.parts, training_warning(scene)
-    remarks = [*protruding_parts(parts), *_misplaced_grids(parts), *_energy_losses(parts), *_repeated_images(parts)]
+    remarks = [
+        *_mended_meshes(parts),
+        *_opaque_or_clear(scene),
+        *protruding_parts(parts),
+        *_misplaced_grids(parts),
+        *_energy_losses(parts),
+        *_repeated_images(parts),
+        *_facets(parts),
+    ]
     return [f"{path}: {remark}" for remark in (*remarks, *([warning] if warning else []))]
 
 
@@ -98,8 +109,33 @@ def _describe_materials(part: Part, table: MediumTable | None) -> dict[str, str]
     for key, name in names.items():
         if name:
             material = find_material(name)
-            description[key] = f"{material.name}, measured with eta {material.eta:g}; the scene uses eta {part.eta:g}"
+            origin = "measured" if material.measured else "an estimate"
+            description[key] = f"{material.name}, {origin} with eta {material.eta:g}; the scene uses eta {part.eta:g}"
     return description
+
+
+def _describe_translucency(part: Part, length: float | None) -> dict[str, Any]:
+    light = None if part.medium is None else translucency.of_medium(part.medium, _longest_side(part))
+    return {} if light is None else translucency.describe(light, length)
+
+
+def _longest_side(part: Part) -> float:
+    return float(np.ptp(part.mesh.bounds, axis=0).max())
+
+
+def _mended_meshes(parts: tuple[Part, ...]) -> list[str]:
+    """Return the faults of mesh files that `prtbake check MESH` finds, but that a scene can be rendered with."""
+    paths = dict.fromkeys(part.mesh_path for part in parts)
+    return [f"{fault} (the scene is rendered as if it were mended)" for path in paths for fault in check_mesh(path)]
+
+
+def _opaque_or_clear(scene: Scene) -> list[str]:
+    """Return a sentence if the outermost part will not look translucent; what is inside a clear one may."""
+    light = translucency.of_medium(scene.medium, _longest_side(scene.parts[0]))
+    if light is None or (light.clear and len(scene.parts) > 1):
+        return []
+    sentence = translucency.remark(light, scene.tables.object.length_in_mm)
+    return [sentence] if sentence else []
 
 
 def _constant_or_array(quantity: Any, kind: str) -> Any:
@@ -159,6 +195,19 @@ def _repeated_images(parts: tuple[Part, ...]) -> list[str]:
     return sentences
 
 
+def _facets(parts: tuple[Part, ...]) -> list[str]:
+    """Return a sentence on the boundaries that refract light by faces although their vertex normals are good."""
+    faceted = [part for part in parts if part.diffuse is None and part.normals == "face"]
+    refracting = [part for part in faceted if part.eta != (1.0 if part.parent < 0 else parts[part.parent].eta)]
+    names = [repr(part.name) for part in refracting if good_normals(part.mesh)]
+    if not names:
+        return []
+    return [
+        f"{', '.join(names)}: light is refracted by the faces, so that a coarse mesh shows facets; "
+        'normals = "vertex" uses the vertex normals, which are good'
+    ]
+
+
 def _energy_losses(parts: tuple[Part, ...]) -> list[str]:
     """Return a sentence per rough boundary between two indices: the energy that single scattering loses."""
     sentences = []
@@ -174,5 +223,5 @@ def _energy_losses(parts: tuple[Part, ...]) -> list[str]:
         if part.energy_compensation:
             sentences.append(f"{model} would lose {loss}; energy_compensation restores it")
         else:
-            sentences.append(f"{model} loses {loss}; energy_compensation = true restores it")
+            sentences.append(f"{model} loses {loss}, as in other renderers; energy_compensation = true restores it")
     return sentences

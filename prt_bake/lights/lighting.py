@@ -28,6 +28,7 @@ from formats.scene.lights import (
     parse_sun,
     read_lights,
 )
+from formats.summary import summary
 from prt_bake.lights import environment
 from prt_bake.lights.skies.downsampled import shrink
 from prt_bake.lights.sphere_lights import as_disc
@@ -61,6 +62,8 @@ class Sky:
     def radiance(self, directions: Array) -> Array:
         """Radiance [N,3] from `directions` [N,3]."""
         return environment.lookup(self.image, directions @ self.turn, self.up)
+
+    __repr__ = summary
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +111,8 @@ class Lighting:
             numbers = [sun.direction.tolist(), sun.irradiance.tolist(), sun.angular_diameter]
             digest.update(json.dumps(numbers).encode())
         return digest.hexdigest()
+
+    __repr__ = summary
 
 
 def read_lighting(

@@ -26,8 +26,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from formats.arguments import numbers, whole_number
 from formats.errors import QueryError
 
+HIGHEST_ROTATED = 100
+"""The quadrature of a rotation grows with the fourth power of the degree: 1.6 GB here."""
 UNIT_TOLERANCE = 1e-5  # accepts float32 directions, which are normalised in float64
 
 
@@ -38,14 +41,14 @@ def count(degree: int) -> int:
     >>> sh.count(2)
     9
     """
-    if degree < 0:
+    if whole_number("degree", degree) < 0:
         raise QueryError(f"degree of the harmonics: expected 0 or more, found {degree}")
     return (degree + 1) ** 2
 
 
 def degree_of(count: int) -> int:
     """Degree whose K = (degree + 1)² is `count`. Raises QueryError if `count` is not a square of 1 or more."""
-    root = math.isqrt(max(count, 0))
+    root = math.isqrt(max(whole_number("count", count), 0))
     if count < 1 or root * root != count:
         raise QueryError(f"number of harmonics: expected a square, 1, 4, 9, 16, …, found {count}")
     return root - 1
@@ -100,7 +103,9 @@ def rotation(matrix: ArrayLike, degree: int) -> NDArray[np.float64]:
     >>> np.allclose(sh.rotation(quarter_turn_about_z, 2) @ light_from_x, sh.evaluate([0.0, 1.0, 0.0], degree=2))
     True
     """
-    orthogonal = np.asarray(matrix, dtype=np.float64)
+    if count(degree) > count(HIGHEST_ROTATED):
+        raise QueryError(f"degree: rotations are computed up to degree {HIGHEST_ROTATED}, found {degree}")
+    orthogonal = np.asarray(numbers("rotation", matrix), dtype=np.float64)
     if orthogonal.shape != (3, 3):
         raise QueryError(f"rotation: expected a matrix [3, 3], found an array of shape {list(orthogonal.shape)}")
     defect = float(np.abs(orthogonal @ orthogonal.T - np.eye(3)).max())
@@ -161,7 +166,7 @@ def quadrature(degree: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 def _unit_components(
     directions: ArrayLike,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    vectors = np.asarray(directions, dtype=np.float64)
+    vectors = np.asarray(numbers("directions", directions), dtype=np.float64)
     if vectors.ndim == 0 or vectors.shape[-1] != 3:
         raise QueryError(f"directions: expected an array [..., 3], found shape {list(vectors.shape)}")
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]

@@ -69,6 +69,13 @@ class NeuralBSSRDF(NetworkCore):
     (1, 1, 3)
     """
 
+    def extra_repr(self) -> str:
+        """The first lines of `repr`: what the network was trained on, and how exact it is."""
+        weights = sum(weight.numel() for weight in self.parameters())
+        error = self.metadata.get("training", {}).get("relative_rmse", {}).get("coefficients")
+        accuracy = f"error of coefficients {error:.2%}" if isinstance(error, float) else "error unknown"
+        return f"scene: {self.metadata.get('scene', 'unknown')}, {weights:,} weights, {accuracy}"
+
     def prepared(self, precision: str = "float32", device: str = "cpu") -> FusedNetwork:
         """A frozen copy with a fused `evaluate_block`; its matrix products run in "float32" or "bfloat16"."""
         return prepared_for(self, precision, device)

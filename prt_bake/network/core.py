@@ -14,8 +14,9 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
-from formats.errors import ModelError, warn
-from formats.mesh import Mesh
+from formats.arguments import described, numbers
+from formats.errors import ModelError, QueryError, warn
+from formats.mesh import Mesh, as_mesh
 from prt_bake.geometry.surface import Surface
 from prt_bake.network.features.fourier import encode_directions, fourier_features
 from prt_bake.network.features.interior import Interior
@@ -62,6 +63,8 @@ class NetworkCore(nn.Module):
         used.
         """
         super().__init__()
+        if not isinstance(settings, NetworkSettings | None):
+            raise QueryError(f"settings: expected NetworkSettings, found {described(settings)}")
         self.settings = settings or NetworkSettings()
         self.box_side = float(box_side)
         self.output_scale = float(output_scale)
@@ -214,6 +217,7 @@ class NetworkCore(nn.Module):
         belongs to the face that faces ωo most (`prt_bake.geometry.surface`). A network without normals is returned
         unchanged.
         """
+        mesh = as_mesh("mesh", mesh)
         if not self.settings.tells_normal or (self.surface is not None and self.surface.mesh is mesh):
             return self
         bound = copy(self)
@@ -307,8 +311,16 @@ class NetworkCore(nn.Module):
         Runs `radiance` in batches, and is the reference for `evaluate_block`.
         """
         device = self.frequencies.device
-        x, eye, light = (float64_tensor(vectors, device) for vectors in (positions, outgoing, incident))
+        x, eye, light = (
+            float64_tensor(vectors if isinstance(vectors, Tensor) else numbers(name, vectors), device)
+            for name, vectors in (("positions", positions), ("outgoing", outgoing), ("incident", incident))
+        )
+        if x.ndim != 2 or x.shape != eye.shape or light.ndim not in (2, 3) or {x.shape[-1], light.shape[-1]} != {3}:
+            shapes = ", ".join(str(list(each.shape)) for each in (light, x, eye))
+            raise QueryError(f"incident [D,3] or [N,D,3], positions [N,3] and outgoing [N,3]: found shapes {shapes}")
         count = x.shape[0]
+        if light.ndim == 3 and light.shape[0] != count:
+            raise QueryError(f"incident: expected [D,3] or [{count},D,3], found {list(light.shape)}")
         light = light.expand(count, *light.shape[-2:]) if light.ndim == 2 else light
         directions = light.shape[1]
         result = np.empty((count, directions, 3), dtype=np.float32)

@@ -162,9 +162,10 @@ def is_stand_in(paper: PaperScene, scene: Scene) -> bool:
 def framing_camera(mesh: Mesh, size: int, up: str) -> Camera:
     """Return the camera of size × size pixels whose picture the object fills to 42 %, or which sees all of it.
 
-    The eye is that of `camera.fit`. The field of view is narrowed until the object fills 42 % of the picture.
+    The eye is that of the view "three-quarter-back". The field of view is narrowed until the object fills 42 % of the
+    picture.
     """
-    fitted = camera.fit(mesh, size, size, up=up)
+    fitted = camera.fit(mesh, size, size, up=up, view="three-quarter-back")
     visibility = Visibility(mesh)
     if object_share(visibility, fitted) >= _TARGET_SHARE:
         return fitted

@@ -1,7 +1,7 @@
-"""The preview window: an asset under any light, seen from any camera, drawn by VTK.
+"""The preview: an asset under any light, seen from any camera, drawn by PyVista; and assets as meshes for PyVista.
 
-`state.py` computes what is shown without a window; `view.py` draws it; `window.py` handles the user's input. Nothing is
-re-exported: VTK loads only when a window opens.
+`state.py` computes what is shown without a window; `view.py` draws it with a plotter; `window.py` handles the user's
+input; `polydata.py` and `show.py` are for Python. Nothing is re-exported: PyVista loads only when it is needed.
 
 May import: `prt_bake.shading` and the rooms below it in `pyproject.toml`. Start at `state.py`.
 """

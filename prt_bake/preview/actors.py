@@ -1,39 +1,40 @@
-"""The actors that VTK draws: the object, the sky behind it, and a reference picture.
+"""What the plotter draws: the object, the sky behind it, and a reference picture.
 
-VTK lights none of them: they show linear radiance, which `prt_bake.preview.shaders` encodes as sRGB.
+They are PyVista actors with shaders of their own (`prt_bake.preview.shaders`), which encode linear radiance as sRGB and
+reflect the sky; PyVista's colours have 8 bits. No light of the plotter reaches them.
 """
 
 import math
 from typing import Any
 
 import numpy as np
+import pyvista as pv
 from numpy.typing import NDArray
-from vtkmodules.util import numpy_support
-from vtkmodules.vtkCommonCore import vtkPoints
-from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkDataObject, vtkImageData, vtkPolyData
+from vtkmodules.vtkCommonDataModel import vtkDataObject
 from vtkmodules.vtkCommonMath import vtkMatrix3x3
-from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkTexture
+from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from formats.mesh import Mesh
 from prt_bake.preview import shaders
 from prt_bake.preview.state import Interface
 
-numpy_to_vtk: Any = numpy_support.numpy_to_vtk
 _LEAST_GAIN = -126.0
 
 
-class Actor:
-    """An actor with our shader and one picture as its texture."""
+class Shaded:
+    """A mesh drawn by our shader, with one picture as its texture.
 
-    def __init__(self, geometry: vtkPolyData) -> None:
-        self.mapper = vtkPolyDataMapper()
-        self.mapper.SetInputData(geometry)
-        self.mapper.ScalarVisibilityOff()
-        self.actor = vtkActor()
-        self.actor.SetMapper(self.mapper)
-        self._shader: Any = self.actor.GetShaderProperty()
-        self._uniforms: Any = self._shader.GetFragmentCustomUniforms()
-        self._pixels: NDArray[np.float32] | None = None
+    Attributes:
+        actor: the PyVista actor.
+    """
+
+    def __init__(self, mesh: pv.PolyData) -> None:
+        self.mesh = mesh
+        self._mapper = vtkPolyDataMapper()  # unlike `pv.DataSetMapper`, it passes arrays to the vertex shader
+        self._mapper.SetInputData(mesh)
+        self._mapper.ScalarVisibilityOff()
+        self.actor = pv.Actor(mapper=self._mapper)
+        self._uniforms: Any = self.actor.GetShaderProperty().GetFragmentCustomUniforms()
         self.set_exposure(0.0)
 
     def set_exposure(self, exposure: float) -> None:
@@ -42,19 +43,11 @@ class Actor:
 
     def set_picture(self, picture: NDArray[np.float32]) -> None:
         """Set the texture to a linear picture [H,W,3], row 0 on top."""
-        self._pixels = np.ascontiguousarray(picture, np.float32)  # VTK does not own the array
-        height, width = picture.shape[:2]
-        image = vtkImageData()
-        image.SetDimensions(width, height, 1)
-        image.GetPointData().SetScalars(numpy_to_vtk(self._pixels.reshape(-1, 3)))
-        texture = vtkTexture()
-        texture.SetInputData(image)
-        texture.SetColorModeToDirectScalars()
-        texture.InterpolateOn()
-        texture.MipmapOff()
-        texture.SetWrap(vtkTexture.Repeat)
-        self.actor.SetTexture(texture)
-        self._uniforms.SetUniformf("halfRow", 0.5 / height)
+        texture = pv.Texture(np.asarray(picture[::-1], np.float32))  # PyVista flips it back: row 0 is at v = 0
+        texture.interpolate = True
+        texture.repeat = True
+        self.actor.texture = texture
+        self._uniforms.SetUniformf("halfRow", 0.5 / len(picture))
 
     def _set_vector(self, name: str, vector: NDArray[np.float64]) -> None:
         self._uniforms.SetUniform3f(name, vector.tolist())
@@ -66,23 +59,33 @@ class Actor:
 
     def _extend_vertex_shader(self, declarations: str, code: str) -> None:
         for tag, text in (("//VTK::PositionVC::Dec", declarations), ("//VTK::PositionVC::Impl", code)):
-            self._shader.AddVertexShaderReplacement(tag, True, f"{tag}\n{text}", False)
+            self.actor.add_shader_replacement("vertex", tag, f"{tag}\n{text}")
 
     def _replace_fragment_shader(self, declarations: str, code: str) -> None:
         # VTK declares the texture at this tag, so our declarations follow it. The code replaces all of VTK's colouring.
         tag = "//VTK::TCoord::Dec"
-        self._shader.AddFragmentShaderReplacement(tag, True, f"{tag}\n{declarations}", False)
-        self._shader.AddFragmentShaderReplacement("//VTK::TCoord::Impl", True, code, False)
+        self.actor.add_shader_replacement("fragment", tag, f"{tag}\n{declarations}")
+        self.actor.add_shader_replacement("fragment", "//VTK::TCoord::Impl", code)
 
 
-class Sky(Actor):
+class _FullScreen(Shaded):
+    """A picture that covers the window, behind everything else."""
+
+    def __init__(self, declarations: str, code: str) -> None:
+        corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
+        mesh = pv.PolyData.from_regular_faces(corners, [[0, 1, 2], [0, 2, 3]])
+        mesh.active_texture_coordinates = 0.5 + 0.5 * corners[:, :2]
+        super().__init__(mesh)
+        self.actor.use_bounds = False
+        self.actor.add_shader_replacement("vertex", "//VTK::PositionVC::Impl", shaders.FULL_SCREEN)
+        self._replace_fragment_shader(shaders.ENCODE + declarations, code)
+
+
+class Sky(_FullScreen):
     """The sky behind the object, at infinity."""
 
     def __init__(self) -> None:
-        super().__init__(_full_screen())
-        self.actor.UseBoundsOff()
-        self._shader.AddVertexShaderReplacement("//VTK::PositionVC::Impl", True, shaders.FULL_SCREEN, False)
-        self._replace_fragment_shader(shaders.ENCODE + shaders.LOOK_UP, shaders.SKY)
+        super().__init__(shaders.LOOK_UP, shaders.SKY)
         self.set_picture(np.zeros((1, 1, 3), np.float32))
 
     def set_camera(self, view: NDArray[np.float64], fov: float, aspect: float, to_sky: NDArray[np.float64]) -> None:
@@ -102,16 +105,13 @@ class Sky(Actor):
         self._set_sky_rotation(to_sky)
 
 
-class Reference(Actor):
+class Reference(_FullScreen):
     """A reference picture at its own size, scaled down to fit a smaller window."""
 
     def __init__(self, picture: NDArray[np.float32]) -> None:
-        super().__init__(_full_screen())
-        self.actor.UseBoundsOff()
-        self.actor.VisibilityOff()
+        super().__init__("", shaders.PICTURE)
+        self.actor.visibility = False
         self._size = picture.shape[1], picture.shape[0]
-        self._shader.AddVertexShaderReplacement("//VTK::PositionVC::Impl", True, shaders.FULL_SCREEN, False)
-        self._replace_fragment_shader(shaders.ENCODE, shaders.PICTURE)
         self.set_picture(picture)
 
     def fit(self, width: int, height: int) -> None:
@@ -120,23 +120,20 @@ class Reference(Actor):
         self._uniforms.SetUniform2f("extent", [scale * self._size[0] / width, scale * self._size[1] / height])
 
 
-class Object(Actor):
+class Object(Shaded):
     """The mesh, relative to its centre and in units of its radius, since VTK stores positions as float32."""
 
     def __init__(self, mesh: Mesh, interface: Interface | None) -> None:
         self.center = mesh.center
         self.radius = float(np.linalg.norm(mesh.positions - self.center, axis=1).max()) or 1.0
-        geometry = _triangles((mesh.positions - self.center) / self.radius, mesh.faces)
-        self.colours = np.zeros((len(mesh.positions), 4), np.float32)
-        self._colours = _named(numpy_to_vtk(self.colours), "colour")
-        normals = _named(numpy_to_vtk(mesh.normals.astype(np.float32), deep=True), "shadingNormal")
-        geometry.GetPointData().AddArray(self._colours)
-        geometry.GetPointData().AddArray(normals)
-        super().__init__(geometry)
-        points = vtkDataObject.FIELD_ASSOCIATION_POINTS
-        self.mapper.MapDataArrayToVertexAttribute("colourMC", "colour", points, -1)
-        self.mapper.MapDataArrayToVertexAttribute("shadingNormalMC", "shadingNormal", points, -1)
-        self._extend_vertex_shader(shaders.OBJECT_VERTEX_DECLARATIONS, shaders.OBJECT_VERTEX)
+        scaled = ((mesh.positions - self.center) / self.radius).astype(np.float32)
+        super().__init__(pv.PolyData.from_regular_faces(scaled, mesh.faces))
+        self.mesh.point_data["colour"] = np.zeros((len(scaled), 4), np.float32)
+        self.mesh.point_data["shadingNormal"] = mesh.normals.astype(np.float32)
+        self.colours: Any = self.mesh.point_data["colour"]
+        for name in ("colour", "shadingNormal"):
+            points = vtkDataObject.FIELD_ASSOCIATION_POINTS
+            self._mapper.MapDataArrayToVertexAttribute(f"{name}MC", name, points, -1)
         self._uniforms.SetUniformf("eta", 1.0 if interface is None else interface.eta)
         self._reflects = False
         self._write_shader()
@@ -144,7 +141,6 @@ class Object(Actor):
     def set_colours(self, colours: NDArray[np.float32]) -> None:
         """Set the weighted colours and weights of the vertices [V,4], as `Preview.colours` returns them."""
         self.colours[:] = colours
-        self._colours.Modified()
 
     def set_reflection(self, picture: NDArray[np.float32] | None) -> None:
         """Set the sky that the surface reflects, or none."""
@@ -161,38 +157,14 @@ class Object(Actor):
 
     def cull_backfaces(self, hidden: bool) -> None:
         """Cull faces that turn away from the eye."""
-        self.actor.GetProperty().SetBackfaceCulling(hidden)
+        self.actor.prop.culling = "back" if hidden else "none"
 
     def _write_shader(self) -> None:
-        """Write the fragment shader, without the code of the reflection if there is none."""
-        self._shader.ClearAllFragmentShaderReplacements()
+        """Write the shaders, without the code of the reflection if there is none."""
+        self.actor.clear_shader_replacements()
+        self._extend_vertex_shader(shaders.OBJECT_VERTEX_DECLARATIONS, shaders.OBJECT_VERTEX)
         declarations = shaders.OBJECT_DECLARATIONS + shaders.ENCODE
         if self._reflects:
             declarations += shaders.LOOK_UP + shaders.REFLECTANCE
         reflection = shaders.OBJECT_REFLECTION if self._reflects else ""
         self._replace_fragment_shader(declarations, shaders.OBJECT + reflection + shaders.OBJECT_OUTPUT)
-
-
-def _triangles(positions: NDArray[np.float64], faces: NDArray[np.integer]) -> vtkPolyData:
-    points = vtkPoints()
-    points.SetData(numpy_to_vtk(positions.astype(np.float32), deep=True))
-    cells = vtkCellArray()
-    offsets = 3 * np.arange(len(faces) + 1, dtype=np.int64)
-    cells.SetData(numpy_to_vtk(offsets, deep=True), numpy_to_vtk(faces.astype(np.int64).ravel(), deep=True))
-    geometry = vtkPolyData()
-    geometry.SetPoints(points)
-    geometry.SetPolys(cells)
-    return geometry
-
-
-def _full_screen() -> vtkPolyData:
-    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
-    geometry = _triangles(corners, np.array([[0, 1, 2], [0, 2, 3]]))
-    uv = numpy_to_vtk((0.5 + 0.5 * corners[:, :2]).astype(np.float32), deep=True)
-    geometry.GetPointData().SetTCoords(_named(uv, "uv"))
-    return geometry
-
-
-def _named(array: Any, name: str) -> Any:
-    array.SetName(name)
-    return array

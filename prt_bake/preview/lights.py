@@ -47,24 +47,26 @@ class LightSource:
     """A light of the preview: a sky, a lights file, a sun or a sphere light.
 
     Attributes:
-        text: the light as `--light` takes it.
+        text: the light as `--light` takes it, or "" for a lighting.
         name: the name in the window.
         shown: the light as last read; stays if its file cannot be read any more.
     """
 
     def __init__(
         self,
-        text: str,
+        light: str | Lighting,
         up: str,
         degree: int,
         mend: bool = False,
         say: Callable[[str], None] = warnings.warn,
         mesh: Mesh | None = None,
     ) -> None:
-        """Read the light; arguments and errors are those of `prt_bake.lights.lighting.read_lighting`."""
-        self.text, self._up, self._degree = text, up, degree
+        """Read the light, unless it is a lighting; arguments and errors are those of `read_lighting`."""
+        self.text = light if isinstance(light, str) else ""
+        self._lighting = None if isinstance(light, str) else light
+        self._up, self._degree = up, degree
         self._mend, self._say, self._mesh = mend, say, mesh
-        self.name = text if text.startswith(_NOT_FILES) else Path(text).name
+        self.name = self.text if self.text.startswith(_NOT_FILES) else Path(self.text).name
         self._stamp = self._stamps()
         self.shown = self._read()
 
@@ -86,14 +88,16 @@ class LightSource:
         return f"{self.name} was reloaded"
 
     def _read(self) -> ShownLight:
-        lighting = read_lighting([self.text], self._up, mend=self._mend, say=self._say, mesh=self._mesh)
+        lighting = self._lighting
+        if lighting is None:
+            lighting = read_lighting([self.text], self._up, mend=self._mend, say=self._say, mesh=self._mesh)
         return ShownLight(lighting, project_lighting(lighting, self._degree), _picture(lighting, self._up))
 
     def _stamps(self) -> Stamp:
         return tuple(_stamp(path) for path in self._files())
 
     def _files(self) -> Iterator[Path]:
-        if self.text.startswith(_NOT_FILES):
+        if not self.text or self.text.startswith(_NOT_FILES):
             return
         yield Path(self.text)
         if self.text.lower().endswith(".toml"):

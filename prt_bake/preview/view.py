@@ -1,4 +1,4 @@
-"""The contents of the window. The object is shaded for the eye before each frame that VTK draws."""
+"""The contents of the window. The object is shaded for the eye before each frame that the plotter draws."""
 
 import math
 import time
@@ -6,29 +6,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyvista as pv
 from numpy.typing import NDArray
-from vtkmodules.util import numpy_support
-from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 
 from formats.atomic import replacing
 from formats.errors import QueryError
 from prt_bake.geometry import camera
 from prt_bake.preview.actors import Object, Reference, Sky
-from prt_bake.preview.canvas import Canvas
 from prt_bake.preview.state import Preview
 
-vtk_to_numpy: Any = numpy_support.vtk_to_numpy
 _SAMPLES = 4
 _PNG_LEVEL = 2
 """zlib level: a third of the default's time for a third more bytes."""
 
 
 class View:
-    """A preview drawn on a canvas.
+    """A preview drawn by a plotter.
 
     Attributes:
-        canvas: the window, or a picture in memory.
-        window: the canvas's VTK window.
+        plotter: the PyVista plotter.
         showing_reference: whether the reference picture is shown.
         changed: time of the last change by `time.monotonic`.
     """
@@ -36,13 +32,12 @@ class View:
     def __init__(
         self,
         preview: Preview,
-        canvas: Canvas,
+        plotter: pv.Plotter,
         start: camera.Camera,
         reference: NDArray[np.float32] | None = None,
     ) -> None:
-        """start: the initial camera, with the size of the canvas."""
-        self.preview, self.canvas = preview, canvas
-        self.window = canvas.window
+        """start: the initial camera, with the size of the plotter."""
+        self.preview, self.plotter = preview, plotter
         self._start = start
         self._object, self._sky = Object(preview.asset.mesh, preview.interface), Sky()
         self._reference = None if reference is None else Reference(reference)
@@ -50,25 +45,20 @@ class View:
         self.changed = -math.inf
         self._error = ""
         self._drawn: tuple[Any, ...] = ()
+        self._motion: tuple[float, ...] = ()
         self._pictures: dict[str, NDArray[np.float32] | None] = {}
-        renderer = canvas.renderer
-        renderer.RemoveCuller(renderer.GetCullers().GetLastItem())
         # The object is drawn first, so that the depth test skips the sky behind it.
         for part in (self._object, self._sky, self._reference):
             if part is not None:
-                renderer.AddActor(part.actor)
+                plotter.add_actor(part.actor, reset_camera=False, pickable=False, render=False)
         self.smooth(True)
         self.reset_camera()
-        self.window.AddObserver("StartEvent", lambda *_: self.update())
+        plotter.render_window.AddObserver("StartEvent", lambda *_: self.update())
 
     @property
     def eye(self) -> NDArray[np.float64]:
         """Position of the camera in object space."""
-        return self._object.center + self._object.radius * np.array(self._camera.GetPosition())
-
-    @property
-    def _camera(self) -> Any:
-        return self.canvas.camera
+        return self._object.center + self._object.radius * np.array(self.plotter.camera.position)
 
     @property
     def radius(self) -> float:
@@ -78,15 +68,16 @@ class View:
     @property
     def colours(self) -> NDArray[np.float32]:
         """The vertex colours drawn last [V,4], as `Preview.colours` returns them."""
-        return self._object.colours
+        colours: NDArray[np.float32] = self._object.colours
+        return colours
 
     def reset_camera(self) -> None:
         """Return to the initial camera."""
-        camera = self._camera
-        camera.SetPosition(*self._to_vtk(self._start.eye))
-        camera.SetFocalPoint(*self._to_vtk(self._start.target))
-        camera.SetViewUp(*self._start.up)
-        camera.SetViewAngle(self._start.fov)
+        camera = self.plotter.camera
+        camera.position = self._to_vtk(self._start.eye)
+        camera.focal_point = self._to_vtk(self._start.target)
+        camera.up = self._start.up
+        camera.view_angle = self._start.fov
 
     def toggle_reference(self) -> None:
         """Toggle between the object and the reference picture."""
@@ -94,12 +85,15 @@ class View:
 
     def smooth(self, edges: bool) -> None:
         """Switch antialiasing, with which a frame takes several times as long."""
-        self.window.SetMultiSamples(_SAMPLES if edges else 0)
+        if edges:
+            self.plotter.enable_anti_aliasing("msaa", multi_samples=_SAMPLES)
+        else:
+            self.plotter.disable_anti_aliasing()
 
     @property
     def smooth_edges(self) -> bool:
         """Whether edges are antialiased."""
-        return bool(self.window.GetMultiSamples())
+        return bool(self.plotter.render_window.GetMultiSamples())
 
     def refine(self, seconds: float = math.inf) -> bool:
         """Refine for about `seconds`; return whether it has just finished and must be drawn."""
@@ -112,25 +106,20 @@ class View:
 
     def picture(self) -> NDArray[np.uint8]:
         """Draw the window and return its pixels, sRGB [H,W,3], row 0 on top."""
-        self.window.Render()
-        grab = vtkWindowToImageFilter()
-        grab.SetInput(self.window)
-        grab.ReadFrontBufferOff()
-        grab.ShouldRerenderOff()
-        grab.Update()
-        image = grab.GetOutput()
-        width, height, _ = image.GetDimensions()
-        pixels = vtk_to_numpy(image.GetPointData().GetScalars()).reshape(height, width, -1)
-        return np.array(pixels[::-1, :, :3], np.uint8)
+        self.plotter.render()
+        return np.asarray(self.plotter.screenshot(return_img=True))
 
     def update(self) -> None:
-        """Update the actors if the camera or the preview has changed."""
-        camera = self._camera
-        size = tuple(self.window.GetSize())
-        pose = (*camera.GetPosition(), *camera.GetFocalPoint(), *camera.GetViewUp())
-        state = (self.preview.changes, size, self.showing_reference, *pose)
+        """Update the actors if the camera or the preview has changed; what moves is not antialiased."""
+        camera, size = self.plotter.camera, tuple(self.plotter.window_size)
+        pose = (*camera.position, *camera.focal_point, *camera.up)
+        motion = (*pose, self.preview.rotation, self.preview.exposure)
+        state = (self.preview.changes, size, self.showing_reference, *motion)
         if state == self._drawn:
             return
+        if self._motion and motion != self._motion:
+            self.smooth(False)
+        self._motion = motion
         self._drawn, self.changed = state, time.monotonic()
         self._update_actors(size)
         if self.showing_reference:
@@ -138,7 +127,7 @@ class View:
         colours = self.shade()
         if colours is not None:
             self.upload(colours)
-        self.canvas.renderer.ResetCameraClippingRange()
+        self.plotter.reset_camera_clipping_range()
         self._update_cameras(size)
 
     def shade(self) -> NDArray[np.float32] | None:
@@ -154,14 +143,14 @@ class View:
         return colours
 
     def upload(self, colours: NDArray[np.float32]) -> None:
-        """Pass the vertex colours to VTK."""
+        """Pass the vertex colours to the plotter."""
         self._object.set_colours(colours)
 
     def _update_actors(self, size: tuple[int, ...]) -> None:
         preview, reference = self.preview, self._reference
         sky = preview.sky
-        self._object.actor.SetVisibility(not self.showing_reference)
-        self._sky.actor.SetVisibility(sky is not None and not self.showing_reference)
+        self._object.actor.visibility = not self.showing_reference
+        self._sky.actor.visibility = sky is not None and not self.showing_reference
         self._object.set_exposure(preview.shown_exposure)
         self._sky.set_exposure(preview.exposure)
         if sky is not None and self._is_new("sky", sky):
@@ -170,16 +159,15 @@ class View:
         if self._is_new("reflected", reflected):
             self._object.set_reflection(reflected)
         if reference is not None:
-            reference.actor.SetVisibility(self.showing_reference)
+            reference.actor.visibility = self.showing_reference
             reference.set_exposure(preview.exposure)
             reference.fit(size[0], size[1])
 
     def _update_cameras(self, size: tuple[int, ...]) -> None:
-        camera, to_sky = self._camera, self.preview.to_sky
-        matrix = camera.GetViewTransformMatrix()
-        view = np.array([[matrix.GetElement(row, column) for column in range(3)] for row in range(3)])
-        self._sky.set_camera(view, camera.GetViewAngle(), size[0] / size[1], to_sky)
-        eye = np.array(camera.GetPosition())
+        camera, to_sky = self.plotter.camera, self.preview.to_sky
+        view = pv.array_from_vtkmatrix(camera.GetViewTransformMatrix())[:3, :3]
+        self._sky.set_camera(view, camera.view_angle, size[0] / size[1], to_sky)
+        eye = np.array(camera.position)
         # The first picture, with smooth edges, does not test whether the object is closed, which takes time.
         self._object.cull_backfaces(not self.smooth_edges and float(np.linalg.norm(eye)) > 1.0 and self.preview.closed)
         if self.preview.reflected_sky is not None:

@@ -6,16 +6,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from vtkmodules.util.misc import calldata_type
+from vtkmodules.util.vtkConstants import VTK_OBJECT
+
 from formats.errors import PrtbakeError
 from formats.interrupts import interrupt_flag
 from prt_bake.preview import legend
-from prt_bake.preview.canvas import Canvas
 from prt_bake.preview.overlay import SLIDERS, Overlay
+from prt_bake.preview.plotter import on_display, open_plotter
 from prt_bake.preview.state import MOST_EXPOSURE, Mode, Preview, Scale
 from prt_bake.preview.view import View, write_picture
 
-__all__ = ["Canvas", "View", "Window", "write_picture"]
+__all__ = ["View", "Window", "on_display", "open_plotter", "write_picture"]
 
+_calldata: Any = calldata_type
 TICK = 100
 """Milliseconds between two events of the timer."""
 _ROTATION_STEP, _EXPOSURE_STEP = 5.0, 0.5
@@ -26,6 +30,8 @@ _STILL = 0.2
 """Seconds after the last movement until edges are antialiased and suns are refined."""
 _SLICE, _PAUSE = 0.02, 1
 """Seconds of a slice of refinement, and milliseconds for the user's events until the next one."""
+_SLIDER_HEIGHT, _KNOB, _TUBE = 0.07, (0.015, 0.03), 0.006
+"""Height of the sliders, length and width of a knob, and width of a tube, relative to the window."""
 
 
 class Window:
@@ -33,6 +39,7 @@ class Window:
 
     Attributes:
         view: the picture.
+        plotter: the PyVista plotter that draws it.
         overlay: the texts over it.
         rotation, exposure: the sliders; `rotation` is off for an asset made for one light.
     """
@@ -41,33 +48,45 @@ class Window:
         """name: of the asset. reference: name of the reference picture."""
         self.view, self._name, self._reference = view, name, reference
         self._preview: Preview = view.preview
-        self.overlay = Overlay(view.canvas.renderer, view.window.GetSize()[0])
+        self.plotter: Any = view.plotter
+        self.overlay = Overlay(self.plotter)
         self._legend = self._saving = self._loading = False
-        self._moved = self._message_time = -math.inf
+        self._message_time = -math.inf
         self._scale: Scale | None = None
         self._interrupted: Callable[[], bool] = lambda: False
-        self._interactor: Any = view.canvas.interactor
         self._connect()
         self.rotation = self._slider((-180.0, 180.0), 0, self._preview.rotate_to)
         self.exposure = self._slider((-MOST_EXPOSURE, MOST_EXPOSURE), 1, self._preview.set_exposure)
         if not self._preview.relightable:
             self.rotation.Off()
-        self.overlay.write(self.overlay.message, "")
         self._update_texts()
 
     def run(self) -> None:
         """Show the window until the user closes it or presses Ctrl-C."""
         # A KeyboardInterrupt inside VTK's event loop would end the process with VTK's own message.
         with interrupt_flag() as self._interrupted:
-            self._interactor.Initialize()
+            self.plotter.iren.initialize()
             self.render()
             self._preview.load_in_background()
-            self._interactor.CreateRepeatingTimer(TICK)
-            self._interactor.Start()
+            self.plotter.iren.create_timer(TICK)
+            self.plotter.show()
+
+    def show_in_notebook(self, backend: str) -> Any:
+        """Return the window as PyVista's Jupyter backend displays it. Suns are refined after each movement."""
+        self._preview.load()
+        self.settle()
+        self.plotter.iren.style.add_observer("EndInteractionEvent", lambda *_: self.settle())
+        return self.plotter.show(jupyter_backend=backend, return_viewer=True)
+
+    def settle(self) -> None:
+        """Refine the picture and draw it with antialiased edges."""
+        self.view.smooth(True)
+        self.view.refine()
+        self.render()
 
     def render(self) -> None:
         """Draw the picture, texts and sliders."""
-        self.view.window.Render()
+        self.plotter.render()
         self._update_message()
 
     def tick(self) -> None:
@@ -83,13 +102,13 @@ class Window:
         if self._loading is not self._preview.loading:
             self._loading = self._preview.loading
             changed = True
-        still = now - max(self._moved, self.view.changed) > _STILL
+        still = now - self.view.changed > _STILL
         if not self.view.smooth_edges and still:
             self.view.smooth(True)
             changed = True
         if still and self.view.unrefined:
             changed |= self.view.refine(_SLICE)
-            self._interactor.CreateOneShotTimer(_PAUSE)
+            self.plotter.iren.create_timer(_PAUSE, repeating=False)
         if changed:
             self.render()
 
@@ -99,6 +118,7 @@ class Window:
         sliders = [slider for slider in (self.rotation, self.exposure) if slider.GetEnabled()]
         for slider in sliders:
             slider.Off()
+        self.view.update()
         self.view.smooth(True)
         self.view.refine()
         self._saving = True
@@ -111,12 +131,21 @@ class Window:
                 slider.On()
 
     def _connect(self) -> None:
-        canvas = self.view.canvas
-        canvas.connect_mouse(self._move)
-        canvas.connect_keys({key: self._handler(action) for keys, action in self._actions() for key in keys.split()})
-        canvas.connect_drops(self._add_lights)
-        self._interactor.AddObserver("TimerEvent", lambda *_: self.tick())
-        self.view.window.AddObserver("StartEvent", lambda *_: self._update_texts())
+        plotter = self.plotter
+        plotter.enable_terrain_style(mouse_wheel_zooms=True, shift_pans=True)
+        style = plotter.iren.style
+        for event in ("CharEvent", "TimerEvent"):  # VTK's own keys do nothing, and its timer would go on with a drag
+            style.add_observer(event, lambda *_: None)
+        # After a pan the style would keep all events to itself, and the sliders would get none.
+        style.add_observer("EndInteractionEvent", lambda *_: style.ReleaseFocus())
+        plotter.iren.clear_key_event_callbacks()  # nor PyVista's
+        for keys, action in self._actions():
+            for key in keys.split():
+                plotter.add_key_event(key, self._handler(action))
+        plotter.iren.add_observer("TimerEvent", lambda *_: self.tick())
+        dropped = _calldata(VTK_OBJECT)(lambda _caller, _event, paths: self._add_lights(paths))
+        plotter.iren.interactor.AddObserver("DropFilesEvent", dropped)
+        plotter.render_window.AddObserver("StartEvent", lambda *_: self._update_texts())
 
     def _actions(self) -> list[tuple[str, Callable[[], None]]]:
         preview = self._preview
@@ -158,30 +187,40 @@ class Window:
 
         return handle
 
-    def _add_lights(self, paths: list[str]) -> None:
+    def _add_lights(self, paths: Any) -> None:
+        """Add the files that were dropped on the window as lights."""
+
         def add() -> None:
-            for path in paths:
-                self._preview.add_light(path)
+            for number in range(paths.GetNumberOfValues()):
+                self._preview.add_light(paths.GetValue(number))
 
         self._handler(add)()
-
-    def _move(self) -> None:
-        """Switch antialiasing off while something moves."""
-        self._moved = time.monotonic()
-        if self.view.smooth_edges:
-            self.view.smooth(False)
 
     def _slider(self, span: tuple[float, float], number: int, change: Callable[[float], None]) -> Any:
         def on_change(value: float) -> None:
             if value != current():
-                self._move()
                 change(value)
                 self.render()
 
         def current() -> float:
             return self._preview.exposure if number else self._preview.rotation
 
-        return self.view.canvas.slider(span, current(), SLIDERS[number], on_change)
+        left, right = SLIDERS[number]
+        slider = self.plotter.add_slider_widget(
+            on_change,
+            span,
+            value=current(),
+            pointa=(left, _SLIDER_HEIGHT),
+            pointb=(right, _SLIDER_HEIGHT),
+            color="white",
+            interaction_event="always",
+            slider_width=_KNOB[1],
+            tube_width=_TUBE,
+        )
+        slider.GetRepresentation().SetSliderLength(_KNOB[0])
+        slider.GetRepresentation().SetEndCapLength(0.0)
+        slider.GetRepresentation().ShowSliderLabelOff()  # the text under it shows the value
+        return slider
 
     def _update_texts(self) -> None:
         if self._saving:
@@ -199,13 +238,13 @@ class Window:
     def _update_message(self) -> None:
         """Update the message and the scale, which are known only after drawing; draw again if they changed."""
         message, scale = self._preview.message, None if self.view.showing_reference else self._preview.scale
-        message = legend.wrapped(message, self.view.window.GetSize()[0])
-        if message != self.overlay.message.GetInput() or scale != self._scale:
+        message = legend.wrapped(message, self.plotter.window_size[0])
+        if message != self.overlay.message.input or scale != self._scale:
             self._message_time = time.monotonic()
             self._scale = scale
             self.overlay.write(self.overlay.message, message)
             self.overlay.show_scale(scale)
-            self.view.window.Render()
+            self.plotter.render()
 
     def _toggle_legend(self) -> None:
         self._legend = not self._legend
@@ -217,4 +256,4 @@ class Window:
         self._preview.message = f"saved as {path}"
 
     def _quit(self) -> None:
-        self._interactor.TerminateApp()
+        self.plotter.iren.interactor.TerminateApp()

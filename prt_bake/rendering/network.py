@@ -21,6 +21,7 @@ from prt_bake.importance.own_lobes import own_lobes
 from prt_bake.jit.limits import limited_threads
 from prt_bake.lights.lighting import Lighting, as_lighting
 from prt_bake.network.inference.pairs import content_hash, pair_transport
+from prt_bake.reflection.finish import Normals
 from prt_bake.rendering.lobes import LobeModule, PixelLobes
 from prt_bake.rendering.loop import (
     SHOWS_REFLECTION,
@@ -35,7 +36,7 @@ from prt_bake.rendering.network_pass import NetworkTracer
 from prt_bake.rendering.passes import PassTracer
 from prt_bake.rendering.pilot import choose_mixture, default_mixture
 from prt_bake.rendering.state import stored_identity
-from prt_bake.rendering.surface_reflection import SurfaceReflection
+from prt_bake.rendering.surface_reflection import SurfaceReflection, reflection_identity
 
 SHOWS = "subsurface light of the network, unscattered light left out"
 _METHOD = 2
@@ -56,6 +57,7 @@ def render_network(
     rotate: float = 0.0,
     background: bool = True,
     reflection: bool = False,
+    normals: Normals | None = None,
     precision: str = "float32",
     device: str = "cpu",
     workers: int = 1,
@@ -80,6 +82,7 @@ def render_network(
             short pilot optimises. The default is "mis" with an `importance` module or lobes, else "light".
         importance: an `ImportanceModule` of the network; without one, the lobes that the network may have itself.
         reflection: adds the light reflected at the surface, with eta and mean roughness of the network's metadata.
+        normals: those of the reflection, as in `prt_bake.render_picture`.
         precision: "float32" or "bfloat16" for the matrix products of the network. device: "cpu" or "cuda".
         workers: threads; the result does not depend on their number.
         seed, background, rotate, error, minutes, checkpoint, resume, stop, progress, preview, every: as in
@@ -116,7 +119,7 @@ def render_network(
         tracer = NetworkTracer(transport, mesh, lighting, default_mixture(spp, by), None)
         if by != "light" and importance is not None and tracer.has_wide_lights:
             tracer.lobes = PixelLobes(importance, mesh, camera, visibility)
-        surface = _surface(mesh, lighting, metadata, visibility) if reflection else None
+        surface = _surface(mesh, lighting, metadata, normals, visibility) if reflection else None
         passes = PassTracer(mesh, lighting, camera, background, tracer, workers, visibility, surface)
         stored = stored_identity(checkpoint) if resume and checkpoint is not None else {}
         if "mixture" in stored:
@@ -129,6 +132,7 @@ def render_network(
             seed,
             background,
             reflection,
+            **reflection_identity(surface),
             method=f"network {_METHOD}",
             mesh=mesh.content_hash,
             network=content_hash(network),
@@ -144,12 +148,12 @@ def render_network(
     return replace(picture, shows=SHOWS + (SHOWS_REFLECTION if reflection else ""), sampling=description)
 
 
-def _surface(mesh: Mesh, lighting: Lighting, metadata: dict[str, Any], visibility: Visibility) -> SurfaceReflection:
+def _surface(
+    mesh: Mesh, lighting: Lighting, metadata: dict[str, Any], normals: Normals | None, visibility: Visibility
+) -> SurfaceReflection:
     if "eta" not in metadata or "roughness" not in metadata:
         raise QueryError("reflection: the model's metadata lacks eta or roughness; render without reflection")
-    return SurfaceReflection(
-        mesh, lighting, metadata["eta"], metadata["roughness"], metadata.get("normals") == "vertex", visibility
-    )
+    return SurfaceReflection(mesh, lighting, metadata["eta"], metadata["roughness"], normals, visibility)
 
 
 def _sampling_method(sampling: Sampling | None, importance: LobeModule | None) -> Sampling:

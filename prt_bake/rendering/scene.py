@@ -14,6 +14,7 @@ from formats.errors import QueryError, refuse_path
 from formats.scene import Scene
 from prt_bake.geometry.camera import Camera, Visibility, refuse_eye_in_object
 from prt_bake.lights.lighting import Lighting, as_lighting
+from prt_bake.reflection.finish import Normals
 from prt_bake.rendering.loop import (
     SHOWS_REFLECTION,
     Observers,
@@ -23,7 +24,7 @@ from prt_bake.rendering.loop import (
     picture_identity,
 )
 from prt_bake.rendering.passes import PassTracer
-from prt_bake.rendering.surface_reflection import SurfaceReflection
+from prt_bake.rendering.surface_reflection import SurfaceReflection, reflection_identity
 from prt_bake.rendering.walks import Shown, WalkTracer
 from prt_bake.tracer.prepared import has_unscattered, smooth_part
 
@@ -51,6 +52,7 @@ def render_scene(
     rotate: float = 0.0,
     background: bool = True,
     reflection: bool = False,
+    normals: Normals | None = None,
     shown: Shown = "all",
     error: float | None = None,
     minutes: float | None = None,
@@ -77,6 +79,7 @@ def render_scene(
         background: whether the sky is visible behind the object.
         reflection: adds the light reflected at the surface, which bakes and networks do not contain
             (`prt_bake.reflection.reflector`).
+        normals: those of the reflection, as in `prt_bake.render_picture`; paths are refracted by the scene's own.
         shown: the light from under the surface: "all", "scattered" (as in networks and assets) or "unscattered".
         error: relative noise: rms of the standard error over the mean radiance, on the object.
         minutes: time limit.
@@ -106,9 +109,7 @@ def render_scene(
     _refuse_hidden_suns(scene, lighting)
     visibility, surface = Visibility(scene.mesh), None
     if reflection:
-        surface = SurfaceReflection(
-            scene.mesh, lighting, scene.eta, scene.roughness, scene.normals == "vertex", visibility
-        )
+        surface = SurfaceReflection(scene.mesh, lighting, scene.eta, scene.roughness, normals, visibility)
     walks = WalkTracer(scene, lighting, shown)
     tracer = PassTracer(scene.mesh, lighting, camera, background, walks, visibility=visibility, reflection=surface)
     identity = picture_identity(
@@ -117,6 +118,7 @@ def render_scene(
         seed,
         background,
         reflection,
+        **reflection_identity(surface),
         **{"method": _METHOD, "scene": scene.content_hash, "points a pass": walks.points, "shown": shown},
     )
     observers = Observers(progress, preview, every)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from formats.asset import Asset
 from formats.errors import QueryError
 from formats.scene.lights import DirectionalLight
+from formats.summary import summary
 from prt_bake.lights.lighting import Lighting
 from prt_bake.shading.sun_shading import SunTreatment, suns_apart
 
@@ -36,6 +37,8 @@ class AssetLight:
     whole: Any = None
     found: int = 0
     lobes: "LobeLight | None" = None
+
+    __repr__ = summary
 
 
 def light_for(asset: Asset, lighting: Lighting, suns: SunTreatment = "split") -> AssetLight:

@@ -1,10 +1,10 @@
-"""The error picture: each pixel's standard error over its radiance, in false colours with a scale."""
+"""The error picture: each pixel's standard error over its radiance, in false colours."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from formats.atomic import replacing
 from formats.errors import requires_matplotlib
@@ -16,11 +16,6 @@ _PERCENTILE = 99.0
 """Percentile of the pixels on the object at the end of the colour scale."""
 _FLOOR = 1e-2
 """Share of the object's mean radiance that replaces the radiance of darker pixels."""
-_DPI = 100
-_BESIDE, _ABOVE = 130, 40
-"""Pixels for the scale and the title."""
-_MIN_WIDTH, _MIN_HEIGHT = 390, 270
-"""Pixels that the text needs; small pictures are enlarged."""
 
 
 def relative_errors(picture: Picture, radiance: Array) -> Array:
@@ -35,28 +30,28 @@ def relative_errors(picture: Picture, radiance: Array) -> Array:
     return relative
 
 
-def write_error_picture(path: str | Path, picture: Picture) -> None:
-    """Write the relative error of each pixel of a picture with the layer `radiance`, as .png.
+def write_error_picture(path: str | Path, picture: Picture) -> float:
+    """Write the relative error of each pixel of a picture with the layer `radiance`, as .png of the picture's size.
 
-    Raises PrtbakeError if the extra `evaluate` is not installed, StorageError if the file cannot be written.
+    Colours run from 0 (dark blue) to the returned error (yellow); pixels off the object are transparent. Raises
+    PrtbakeError if the extra `evaluate` is not installed, StorageError if the file cannot be written.
     """
-    figure = error_figure(picture)
+    colours, largest = error_colours(picture)
     with replacing(path) as part:
-        figure.savefig(part, dpi=_DPI, format="png")
+        Image.fromarray(colours).save(part, format="PNG", optimize=True)
+    return largest
 
 
-def error_figure(picture: Picture) -> Any:
-    """The matplotlib figure that `write_error_picture` writes. Raises PrtbakeError without matplotlib."""
+def error_colours(picture: Picture) -> tuple[NDArray[np.uint8], float]:
+    """The RGBA [H,W,4] that `write_error_picture` writes, and the end of its scale.
+
+    Raises PrtbakeError without matplotlib.
+    """
     with requires_matplotlib("error picture"):
-        from matplotlib.figure import Figure
-    percent = 100.0 * relative_errors(picture, np.asarray(picture.layers["radiance"], np.float64))
-    height, width = percent.shape
-    total_width, total_height = max(width + _BESIDE, _MIN_WIDTH), max(height + _ABOVE, _MIN_HEIGHT)
-    figure = Figure(figsize=(total_width / _DPI, total_height / _DPI), dpi=_DPI, layout="constrained")
-    axes = figure.add_subplot()
-    largest = float(np.nanpercentile(percent, _PERCENTILE)) or 1.0
-    shown = axes.imshow(percent, cmap="viridis", vmin=0.0, vmax=largest, interpolation="nearest")
-    axes.set_axis_off()
-    figure.colorbar(shown, ax=axes, extend="max", label="standard error, % of the radiance")
-    figure.suptitle(f"total: {100.0 * picture.relative_error:.2g} % of the object's radiance", fontsize=9)
-    return figure
+        from matplotlib import colormaps
+    relative = relative_errors(picture, np.asarray(picture.layers["radiance"], np.float64))
+    outside = np.isnan(relative)
+    largest = 0.0 if outside.all() else float(np.nanpercentile(relative, _PERCENTILE))
+    colours = colormaps["viridis"](np.where(outside, 0.0, relative) / (largest or 1.0), bytes=True)
+    colours[outside] = 0
+    return colours, largest

@@ -14,10 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 from formats.asset import Asset
 from formats.errors import QueryError, refuse_path
 from formats.image.single import single_precision
+from formats.summary import summary
 from prt_bake.geometry.camera import Camera, Visibility, rays, refuse_eye_in_object
 from prt_bake.lights.lighting import Lighting, as_lighting
+from prt_bake.reflection.finish import Normals
 from prt_bake.shading.asset_light import light_for
 from prt_bake.shading.layers import make_layers
+from prt_bake.shading.picture_error import PictureError, view_error
 from prt_bake.shading.radiance_error import interpolate_over_faces, radiance_error
 from prt_bake.shading.sun_shading import SunTreatment
 from prt_bake.shading.surface_reflection import AssetReflection, reflects
@@ -43,6 +46,7 @@ class Picture:
         error: standard error [H,W,3] of the object's radiance, from the asset's standard errors and from the difference
             between two half buffers of reflected rays. The error of the model itself is not included.
         relative_error: rms of `error` over rms of the object's radiance.
+        errors: the relative error of the picture, all that is known: network, bake, view bins and noise.
         layers: the requested layers (`prt_bake.shading.layers`).
         reflects: whether light reflected at the surface is included.
         suns: number of suns that were treated separately.
@@ -59,6 +63,9 @@ class Picture:
     layers: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     reflects: bool = False
     suns: int = 0
+    errors: PictureError | None = None
+
+    __repr__ = summary
 
 
 def render_picture(
@@ -72,6 +79,7 @@ def render_picture(
     background: bool = True,
     reflection: bool = False,
     roughness: float | NDArray[np.float64] | None = None,
+    normals: Normals | None = None,
     layers: tuple[str, ...] = (),
     suns: SunTreatment = "split",
 ) -> Picture:
@@ -87,11 +95,13 @@ def render_picture(
         background: whether the sky is visible behind the object.
         reflection: adds the light reflected at the surface, unless the object's index is that of its surroundings.
         roughness: GGX alpha in place of the asset's, a number or a texture [H,W] in the mesh's texture coordinates.
+        normals: those of the reflection: "vertex", interpolated but apart at edges sharper than 60 degrees, or "face".
+            By default "vertex", unless the mesh file is flat shaded.
         layers: names of `prt_bake.shading.layers.LAYERS` to compute.
         suns: how suns are shaded (`prt_bake.shading.sun_shading`); their reflection is always exact.
 
-    Raises QueryError if no vertex is valid, the camera misses the object, the eye is inside it, or the roughness of a
-    reflection is unknown.
+    Raises QueryError if no vertex is valid, the camera misses the object, the eye is inside it, the roughness of a
+    reflection is unknown, or its normals are of another kind.
 
     >>> import prt_bake as prt
     >>> asset = prt.read_asset("spot.h5")
@@ -116,18 +126,22 @@ def render_picture(
     sigma = radiance_error(asset, prepared.harmonics, outgoing, visible, prepared.suns)
     weights = corner_weights(asset, corners, points.barycentric)
     subsurface = np.einsum("nk,nkc->nc", weights, shading.radiance[corners])
+    shares = np.bincount(corners.ravel(), weights.ravel(), len(visible)).astype(np.float64)
     pixels = PixelMeans(points.pixels, camera, samples**2)
     coverage, picture = pixels.means(None), pixels.means(subsurface)
-    errors = pixels.means(interpolate_over_faces(asset, weights, corners, sigma))
+    bake_error = pixels.means(interpolate_over_faces(asset, weights, corners, sigma))
+    noise = np.zeros_like(bake_error)
     parts = {"subsurface": subsurface, "reflection": np.zeros_like(subsurface)}
     reflecting = reflection and reflects(asset)
+    light_weights = light_coefficients(asset, prepared.whole)
     if reflecting:
-        light_weights = light_coefficients(asset, prepared.whole)
-        surface = AssetReflection(asset, lighting, light_weights, visibility, samples**2, roughness)
+        surface = AssetReflection(asset, lighting, light_weights, visibility, samples**2, roughness, normals)
         parts["reflection"], difference = _reflect(surface, points)
         picture = picture + pixels.means(parts["reflection"])
-        errors = np.hypot(errors, pixels.means(difference))
+        noise = pixels.means(difference)
+    errors = np.hypot(bake_error, noise)
     signal = float((picture**2).sum())
+    below = float((pixels.means(subsurface) ** 2).sum())
     made = make_layers(layers, asset.mesh, points, pixels, parts, picture)
     if background:
         picture = picture.copy()
@@ -140,11 +154,33 @@ def render_picture(
         float((weights.sum(axis=1) <= 0.0).mean()),
         time.perf_counter() - start,
         single_precision(errors, "picture: standard error"),
-        math.sqrt(float((errors**2).sum()) / signal) if signal > 0.0 else 0.0,
+        _ratio(float((errors**2).sum()), signal),
         made,
         reflecting,
         prepared.found,
+        _errors(
+            asset,
+            view_error(asset, light_weights, outgoing, shares, shading.radiance, sigma),
+            _ratio(below, signal),
+            _ratio(float((bake_error**2).sum()), signal),
+            _ratio(float((noise**2).sum()), signal),
+            prepared.found > 0 or bool(lighting.suns),
+        ),
     )
+
+
+def _errors(
+    asset: Asset, views: float | None, subsurface: float, bake: float, noise: float, suns: bool
+) -> PictureError:
+    """The parts relative to the picture; `subsurface` is the rms of light from under the surface over that of all."""
+    known = asset.error
+    network = None if known.network is None else subsurface * known.network.value
+    views = None if views is None else subsurface * views
+    return PictureError(network, bake or None, views, noise, known.path_traced, suns)
+
+
+def _ratio(squares: float, signal: float) -> float:
+    return math.sqrt(squares / signal) if signal > 0.0 else 0.0
 
 
 def _reflect(surface: AssetReflection, points: VisiblePoints) -> tuple[Array, Array]:

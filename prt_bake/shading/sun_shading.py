@@ -21,6 +21,7 @@ from formats.asset import Asset
 from formats.asset.compact_record import CompactCoefficients
 from formats.errors import QueryError, refuse_path
 from formats.scene.lights import DirectionalLight
+from formats.summary import summary
 from prt_bake.lights.deringing import windowed
 from prt_bake.lights.harmonics import project_lighting
 from prt_bake.lights.lighting import Lighting, solid_angle
@@ -49,6 +50,8 @@ class SunsApart:
     suns: tuple[DirectionalLight, ...]
     whole: Array
     found: int
+
+    __repr__ = summary
 
 
 def suns_apart(lighting: Lighting, degree: int, treatment: SunTreatment = "split") -> SunsApart:

@@ -9,7 +9,7 @@ are sampled by `prt_bake.reflection.reflector`, wide ones at points of the latti
 
 import math
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from prt_bake.lights.lighting import Lighting
 from prt_bake.lights.skies import prefiltered
 from prt_bake.lights.sun_detection import split_lighting
 from prt_bake.mathematics.sphere import to_world
-from prt_bake.reflection.finish import SurfacePoints, surface_points
+from prt_bake.reflection.finish import Normals, SurfacePoints, chosen_normals, surface_points
 from prt_bake.reflection.microfacet import mirrored, reflection_density, visible_facets
 from prt_bake.reflection.reflector import Reflector
 from prt_bake.reflection.surface import SMOOTHEST, FrontPoints, ReflectingSurface
@@ -50,7 +50,7 @@ class _Finish(NamedTuple):
 
     alpha: Array
     min_alpha: float
-    normals: Literal["face", "vertex"]
+    normals: Normals
 
 
 class AssetReflection:
@@ -64,13 +64,15 @@ class AssetReflection:
         visibility: Visibility,
         points: int,
         roughness: float | Array | None = None,
+        normals: Normals | None = None,
     ) -> None:
         """Prepare `points` points a pixel; weights: from `vertices.light_coefficients`.
 
-        roughness: GGX alpha in place of the asset's, a number or a texture [H,W]. Raises QueryError if neither is
-        known, and for a texture on a mesh without texture coordinates.
+        roughness: GGX alpha in place of the asset's, a number or a texture [H,W]. normals: "vertex" or "face"; by
+        default as `chosen_normals`. Raises QueryError if no roughness is known, and for a texture on a mesh
+        without texture coordinates.
         """
-        self._finish = _finish_of(asset, roughness)
+        self._finish = _finish_of(asset, roughness, normals)
         self._asset, self._weights, self._visibility = _in_memory(asset), weights, visibility
         self._surface = ReflectingSurface(asset.mesh, asset.eta)
         self._mirror = float(self._finish.alpha.max()) < SMOOTHEST
@@ -193,7 +195,7 @@ def reflects(asset: Asset) -> bool:
     return not ReflectingSurface(asset.mesh, asset.eta).matched
 
 
-def _finish_of(asset: Asset, roughness: float | Array | None) -> _Finish:
+def _finish_of(asset: Asset, roughness: float | Array | None, normals: Normals | None) -> _Finish:
     given = asset.roughness if roughness is None else roughness
     if given is None:
         raise QueryError("reflection: the asset has no roughness; give the roughness (GGX alpha)")
@@ -209,8 +211,7 @@ def _finish_of(asset: Asset, roughness: float | Array | None) -> _Finish:
         )
     if alpha.ndim == 2 and (fault := texture_fault(asset.mesh)):
         raise QueryError(f"reflection: roughness is a texture, but {fault}, or give one number")
-    smooth = asset.provenance.get("model", {}).get("normals") == "vertex"
-    return _Finish(alpha, max(float(alpha.min()), SMOOTHEST), "vertex" if smooth else "face")
+    return _Finish(alpha, max(float(alpha.min()), SMOOTHEST), chosen_normals(asset.mesh, normals))
 
 
 def _in_memory(asset: Asset) -> Asset:

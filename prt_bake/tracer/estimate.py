@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.errors import QueryError
 from formats.scene import Scene
+from formats.summary import summary
 from prt_bake.jit.threads import in_threads
 from prt_bake.mathematics.moments import SUMS, Moments, from_sums, merged
 from prt_bake.tracer.gpu.availability import require_walks_on
@@ -82,6 +83,8 @@ class Estimate:
     lost: Array
     paths: int
     seconds: float
+
+    __repr__ = summary
 
 
 def estimate_transport(

@@ -1,7 +1,8 @@
-"""How many threads render and learn, and on which device the network learns."""
+"""How many threads render and learn, and which devices learn and path trace."""
 
 import os
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Literal, NamedTuple
 
 from formats.errors import QueryError
 
@@ -62,3 +63,22 @@ def select_device(name: str) -> str:
     if name == "cuda" and available:
         return name
     raise QueryError(f"device: {name!r} is not available (torch finds no such GPU); use 'auto' or 'cpu'")
+
+
+def walking_device(device: str, on_processor: bool, report: Callable[[str], None]) -> Literal["cpu", "cuda"]:
+    """The device that path traces: the one that learns, unless it is a GPU that cannot.
+
+    `on_processor`: synchronous runs and values of Ŝ, of which a GPU can do neither.
+    """
+    if device == "cpu":
+        return "cpu"
+    if on_processor:
+        report("the GPU learns, and the processor path traces")
+        return "cpu"
+    from prt_bake.tracer.gpu.availability import reason_against
+
+    if reason := reason_against():
+        report(f"the GPU learns, but the processor path traces: {reason}")
+        return "cpu"
+    report("the GPU path traces and learns")
+    return "cuda"

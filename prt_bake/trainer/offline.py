@@ -20,6 +20,7 @@ from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.cores import alternating_threads
 from prt_bake.trainer.learner import LearningSettings
+from prt_bake.trainer.references import Follow
 from prt_bake.trainer.samples.queries import Queries
 from prt_bake.trainer.samples.repeatable import ShuffledRows
 from prt_bake.trainer.samples.rows import Batch, Box, RowSource, SourceStatistics, build_batch
@@ -77,7 +78,7 @@ class SampleFileData:
                     "sample at least some hundreds"
                 )
 
-    def reference(self, learning: LearningSettings) -> Reference:
+    def reference(self, learning: LearningSettings, seconds: float, follow: Follow) -> Reference:
         """The validation samples, at most `held_out_queries`; the choice depends on their keys alone."""
         chosen = np.flatnonzero(self._split.validation)
         order = np.argsort(_uniform(self._samples.keys[chosen]), kind="stable")
@@ -91,12 +92,8 @@ class SampleFileData:
         """Half of the cores; one thread for synchronous runs, where the rounding of sums must not vary."""
         return 1 if self._synchronous or device != "cpu" else alternating_threads().learner
 
-    def metadata(self, network: NeuralBSSRDF, learning: LearningSettings) -> dict[str, Any]:
-        """The errors on the test samples and on fresh queries, and the size of each set."""
-        test = self._held_out(np.flatnonzero(self._split.test))
-        fresh = final_errors(
-            network, self.scene, prepare(self.scene), learning.held_out_queries, learning.held_out_walks
-        )
+    def description(self) -> dict[str, Any]:
+        """The file and the size of each set."""
         return {
             "samples": {
                 "file": self._path.name,
@@ -104,7 +101,17 @@ class SampleFileData:
                 "walks_a_query": self._samples.head.walks,
                 "directions": self._samples.head.directions,
                 **{f"{name}_queries": int(chosen.sum()) for name, chosen in self._split._asdict().items()},
-            },
+            }
+        }
+
+    def errors(
+        self, network: NeuralBSSRDF, learning: LearningSettings, seconds: float, follow: Follow
+    ) -> dict[str, Any]:
+        """The errors on the test samples and on fresh queries."""
+        test = self._held_out(np.flatnonzero(self._split.test))
+        count, walks = learning.held_out_queries, learning.held_out_walks
+        fresh = final_errors(network, self.scene, prepare(self.scene), count, walks, seconds=seconds, follow=follow)
+        return {
             "test_relative_rmse": {"transport": test.relative_rmse(network), "transport_noise": relative_noise(test)},
             "relative_rmse": asdict(fresh),
         }

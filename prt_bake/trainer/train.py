@@ -6,11 +6,14 @@ averaged weights. Matrix products are in bfloat16 if the device is faster in it.
 """
 
 import json
+import math
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,7 +25,8 @@ from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF, save
 from prt_bake.network.file_names import state_path
 from prt_bake.tracer.prepared import interface_kind, is_unrefracted
 from prt_bake.tracer.surface.interface import ROUGH
-from prt_bake.trainer.cores import select_device
+from prt_bake.trainer.budget import Budget
+from prt_bake.trainer.cores import select_device, walking_device
 from prt_bake.trainer.history import Meter, TrainingProgress, every_tenth
 from prt_bake.trainer.interior import interior_of, is_clear, with_fitting_grid
 from prt_bake.trainer.learner import Learner, LearningSettings
@@ -31,11 +35,12 @@ from prt_bake.trainer.prefetch import Prefetcher
 from prt_bake.trainer.resume import read_state, require_state, write_state
 from prt_bake.trainer.samples.rows import RowSource, StreamSettings
 from prt_bake.trainer.scene_warnings import training_warning
-from prt_bake.trainer.training_data import PathTracedData, TrainingData, box_of
+from prt_bake.trainer.training_data import PathTracedData, TrainingData, box_of, learning_for, stream_for
 
 __all__ = ["LearningSettings", "TrainingProgress", "train"]
 
 Progress = Callable[[TrainingProgress], None]
+Part = Callable[[str, float], None]
 QUANTITIES = {"transport": "the transport function", "coefficients": "the coefficients a_lm over the surface"}
 """Names of the quantities that a validation error can measure."""
 
@@ -54,10 +59,16 @@ def train(
     samples: str | Path | None = None,
     progress: Progress | None = None,
     say: Callable[[str], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+    part: Part | None = None,
+    budget: Budget | None = None,
     stream: StreamSettings | None = None,
     learning: LearningSettings | None = None,
 ) -> NeuralBSSRDF:
-    """Train a neural BSSRDF of a scene for `minutes`, or for `steps` if given.
+    """Train a neural BSSRDF of a scene for `minutes` of wall time, or for `steps` if given.
+
+    The minutes include the path tracing of validation queries and the final errors. If kernels are compiled first,
+    learning still gets half of them. With `steps` the queries take as long as they need.
 
     Args:
         scene: the scene to path trace.
@@ -72,12 +83,15 @@ def train(
         samples: file of samples (`record_samples`) to learn from in repeated passes. Only validation and test queries
             are path traced then.
         progress: called with a `TrainingProgress` every few seconds. A KeyboardInterrupt, also one raised here, ends
-            the training early and keeps what was learned.
+            the training early and keeps what was learned; the final errors are not measured then.
         say: called with sentences about what is being done.
+        stop: ends the training like a KeyboardInterrupt, after a complete step, when it returns True.
+        part: called with "validation queries", "learning" or "final errors" and the finished share of that part.
+        budget: the wall time of a run that has further parts; by default `minutes` from now.
         stream, learning: settings of the renderer and of the optimiser.
 
-    Returns the network. `network.metadata["training"]` has its final errors: the relative RMSE of Ŝ and of a_lm on
-    fresh queries, corrected for the reference's noise.
+    Returns the network. `network.metadata["training"]` has its final errors as "relative_rmse": the relative RMSE of Ŝ
+    and of a_lm on fresh queries, corrected for the reference's noise. A run that was stopped has none.
 
     Raises QueryError for a time that is not positive, for `synchronous` without `steps`, and for a loss that is not
     finite, naming the query; SamplesError for a file that is damaged or belongs to another scene; ModelError for a
@@ -101,47 +115,58 @@ def train(
         if output is None:
             raise QueryError("train: resume needs output, the model to continue from")
         require_state(output)
-    report = say or (lambda sentence: None)
+    report, follow = say or (lambda sentence: None), part or (lambda name, share: None)
+    timed = (budget or Budget(minutes)) if steps is None else None
     chosen = select_device(device)
     if warning := training_warning(scene):
         report(f"{scene.path}: {warning}")
     data: TrainingData
-    if samples is not None:
-        report(f"reading {samples}")
-        data = SampleFileData(scene, samples, seed, synchronous)
-    else:
-        report("path tracing the validation queries")
-        values = stream is not None and stream.rays == "values"
-        walking = _walking_device(chosen, synchronous or values, report)
-        data = PathTracedData(scene, stream or _stream(walking), seed, synchronous, walking)
-    run = _Run(
-        data,
-        _settings_for(settings or replace(PRESETS["measured"], seed=seed), scene),
-        learning or _learning(data),
-        chosen,
-        seed,
-    )
-    if resume:
-        assert output is not None
-        run.restore(output)
-        if run.share(minutes * 60.0, steps) >= 1.0:
-            report(
-                f"{output}: nothing is left to learn: it already had {run.learner.step} steps in "
-                f"{run.seconds / 60.0:.3g} minutes, and the requested length includes them; request more"
-            )
-    report(f"learning; the validation error is that of {QUANTITIES[run.reference.quantity]}")
-    run.learn(minutes * 60.0, steps, output, progress)
-    report("path tracing fresh queries for the final errors")
-    return run.finish(output)
+    with nullcontext() if timed is None else timed.counting_compilation():
+        if samples is not None:
+            report(f"reading {samples}")
+            data = SampleFileData(scene, samples, seed, synchronous)
+        else:
+            report("path tracing the validation queries")
+            values = stream is not None and stream.rays == "values"
+            walking = walking_device(chosen, synchronous or values, report)
+            data = PathTracedData(scene, stream or stream_for(walking), seed, synchronous, walking)
+        run = _Run(
+            data,
+            _settings_for(settings or replace(PRESETS["measured"], seed=seed), scene),
+            learning or learning_for(data),
+            chosen,
+            seed,
+            timed,
+            follow,
+        )
+        if resume:
+            assert output is not None
+            run.restore(output)
+            if run.nothing_left(steps):
+                report(
+                    f"{output}: nothing is left to learn: it already had {run.learner.step} steps in "
+                    f"{run.seconds / 60.0:.3g} minutes of learning, which the requested length includes; request more"
+                )
+        report(f"learning; the validation error is that of {QUANTITIES[run.reference.quantity]}")
+        run.learn(steps, output, progress, stop or (lambda: False))
+        return run.finish(output)
 
 
 class _Run:
     """One training run: its data, its learner and its progress."""
 
     def __init__(
-        self, data: TrainingData, settings: NetworkSettings, learning: LearningSettings, device: str, seed: int
+        self,
+        data: TrainingData,
+        settings: NetworkSettings,
+        learning: LearningSettings,
+        device: str,
+        seed: int,
+        budget: Budget | None,
+        part: Part,
     ) -> None:
         self.data, self.learning, self.seed = data, learning, seed
+        self.budget, self.part = budget, part
         self.scene, box = data.scene, data.box
         interior = None
         if settings.ray_samples:
@@ -155,7 +180,9 @@ class _Run:
             **data.resume_settings,
         }
         self.synchronous = bool(self.resume_settings["synchronous"])
-        self.reference = data.reference(learning)
+        self.reference = data.reference(
+            learning, math.inf if budget is None else budget.validation, partial(part, "validation queries")
+        )
         network = NeuralBSSRDF(
             settings, box.corner, box.side, self.reference.scale() or 1.0, _metadata(self.scene), interior
         ).to(device)
@@ -164,6 +191,9 @@ class _Run:
         self.learner = self._learner(network, replace(learning, bfloat16=False) if self.synchronous else learning)
         self.generator = np.random.default_rng(seed)
         self.seconds = 0.0
+        self.length = math.inf
+        """Seconds of learning of the complete run, if it ends by time."""
+        self.stopped = False
         self.source: RowSource | None = None
         self.source_state: dict[str, int] | None = None
         self.history: list[TrainingProgress] = []
@@ -184,6 +214,14 @@ class _Run:
         self.generator.bit_generator.state = json.loads(state["generator"])
         self.seconds, self.source_state = float(state["seconds"]), dict(state["source"])
         self.history = [TrainingProgress(**report) for report in state["history"]]
+        if self.budget is not None:
+            self.budget.earlier = float(state.get("spent", self.seconds))
+
+    def nothing_left(self, steps: int | None) -> bool:
+        """Whether a resumed run had the requested length."""
+        if steps is not None:
+            return self.learner.step >= steps
+        return self.budget is not None and self.budget.learning(self.seconds) <= 0.0
 
     def state(self) -> dict[str, Any]:
         """The checkpoint's content: plain values and tensors."""
@@ -196,11 +234,14 @@ class _Run:
             "generator": json.dumps(self.generator.bit_generator.state),
             "source": self.source.state(),
             "seconds": self.seconds,
+            **({} if self.budget is None else {"spent": self.budget.spent}),
             "history": [asdict(report) for report in self.history],
         }
 
-    def learn(self, seconds: float, steps: int | None, output: str | Path | None, progress: Progress | None) -> None:
-        """Learn until the end of the run, or until Ctrl-C."""
+    def learn(
+        self, steps: int | None, output: str | Path | None, progress: Progress | None, stop: Callable[[], bool]
+    ) -> None:
+        """Learn until the end of the run, or until it is stopped."""
         device = self.learner.network.frequencies.device.type
         self.source = self.data.source(self.learning, self.learner.network, self.source_state)
         threads_before = torch.get_num_threads()
@@ -210,9 +251,11 @@ class _Run:
         torch.set_num_threads(threads)
         try:
             with self.learner.stream():
-                self._learn(self.source, prefetcher, seconds, steps, output, progress)
+                self._learn(self.source, prefetcher, steps, output, progress, stop)
         except KeyboardInterrupt:
-            pass
+            if self.learner.step == 0:
+                raise
+            self.stopped = True
         finally:
             self.source.stop()
             prefetcher.stop()
@@ -222,24 +265,34 @@ class _Run:
         self,
         source: RowSource,
         prefetcher: Prefetcher,
-        seconds: float,
         steps: int | None,
         output: str | Path | None,
         progress: Progress | None,
+        stop: Callable[[], bool],
     ) -> None:
         before = self.seconds
-        begun = saved = time.perf_counter()
+        if self.budget is not None:
+            self.length = before + self.budget.learning(before)
+        first, begun = True, time.perf_counter()
+        saved = begun
         meter = Meter(source.statistics())
         source.start()
         meter.add_wait(meter.seconds)
-        while (share := self.share(seconds, steps)) < 1.0:
+        self.part("learning", self.share(steps))
+        while (share := self.share(steps)) < 1.0:
+            if stop():
+                raise KeyboardInterrupt
             requested = time.perf_counter()
             batch, encoding = prefetcher.draw()
             meter.add_wait(time.perf_counter() - requested)
             meter.add_step(self.learner.learn(source, batch, share, self.generator, encoding), len(batch.rows))
+            if first and self.budget is not None:  # it has compiled and loaded kernels, which is not learning
+                begun = time.perf_counter()
+                self.length = before + self.budget.learning(before)
+            first = False
             self.seconds = before + time.perf_counter() - begun
             if meter.seconds > self.learning.report_every:
-                self._report(meter, self.share(seconds, steps), source, progress)
+                self._report(meter, self.share(steps), source, progress)
                 meter = Meter(source.statistics())
             if output is not None and time.perf_counter() - saved > self.learning.checkpoint_every:
                 self.save(output)
@@ -248,9 +301,11 @@ class _Run:
         if not meter.empty:
             self._report(meter, 1.0, source, progress)
 
-    def share(self, seconds: float, steps: int | None) -> float:
+    def share(self, steps: int | None) -> float:
         """The share of the run that is over, by steps if given, else by time."""
-        return self.learner.step / steps if steps is not None else self.seconds / seconds
+        if steps is not None:
+            return self.learner.step / steps
+        return self.seconds / self.length if self.length > 0.0 else 1.0
 
     def _report(self, meter: Meter, share: float, source: RowSource, progress: Progress | None) -> None:
         validation = self.reference.relative_rmse(self.learner.model)
@@ -268,12 +323,15 @@ class _Run:
         write_state(output, self.state())
 
     def finish(self, output: str | Path | None) -> NeuralBSSRDF:
-        """Round the weights, measure the final errors, add them to the metadata and write the model."""
+        """Round the weights, measure the final errors unless the run was stopped, and write the model.
+
+        A KeyboardInterrupt ends the measurement alone.
+        """
         assert self.source is not None
         if output is not None:  # measuring takes long and may be interrupted
             self.save(output)
         network = self.learner.result()
-        network.metadata["training"] = {
+        training: dict[str, Any] = {
             "seconds": self.seconds,
             "steps": self.learner.step,
             "walks": self.source.statistics().walks,
@@ -281,57 +339,33 @@ class _Run:
             "learning": asdict(self.learning),
             "precision": "bfloat16" if self.learner.bfloat16 else "float32",
             "device": _name_of(network.frequencies.device),
-            **self.data.metadata(network, self.learning),
+            **self.data.description(),
             "validation_vs_time": [
                 [report.seconds, report.walks, report.validation] for report in every_tenth(self.history)
             ],
             "validation_of": self.reference.quantity,
         }
+        network.metadata["training"] = training
+        try:
+            training |= {} if self.stopped else self._errors(network)
+        except KeyboardInterrupt:
+            self.stopped = True
+        training["stopped"] = self.stopped
         if output is not None:
             save_model(network, output)
         return network
+
+    def _errors(self, network: NeuralBSSRDF) -> dict[str, Any]:
+        """The final errors."""
+        seconds = math.inf if self.budget is None else self.budget.figures()
+        follow = partial(self.part, "final errors")
+        follow(0.0)
+        return self.data.errors(network, self.learning, seconds, follow)
 
 
 def _name_of(device: torch.device) -> str:
     """The name of the GPU that learned, or "cpu"."""
     return str(torch.cuda.get_device_name(device)) if device.type == "cuda" else device.type
-
-
-def _walking_device(device: str, on_processor: bool, report: Callable[[str], None]) -> Literal["cpu", "cuda"]:
-    """The device that path traces: the one that learns, unless it is a GPU that cannot.
-
-    `on_processor`: synchronous runs and values of Ŝ, of which a GPU can do neither.
-    """
-    if device == "cpu":
-        return "cpu"
-    if on_processor:
-        report("the GPU learns, and the processor path traces")
-        return "cpu"
-    from prt_bake.tracer.gpu.availability import reason_against
-
-    if reason := reason_against():
-        report(f"the GPU learns, but the processor path traces: {reason}")
-        return "cpu"
-    report("the GPU path traces and learns")
-    return "cuda"
-
-
-def _stream(device: str) -> StreamSettings:
-    """The renderer's settings for the device that path traces."""
-    if device == "cpu":
-        return StreamSettings()
-    from prt_bake.trainer.gpu.renderer import GPU_STREAM
-
-    return GPU_STREAM
-
-
-def _learning(data: TrainingData) -> LearningSettings:
-    """The learner's settings for the device that path traces."""
-    if not data.on_gpu:
-        return LearningSettings()
-    from prt_bake.trainer.gpu.learner import GPU_LEARNING
-
-    return GPU_LEARNING
 
 
 def _settings_for(settings: NetworkSettings, scene: Scene) -> NetworkSettings:

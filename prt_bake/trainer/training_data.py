@@ -9,6 +9,7 @@ from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.tracer.prepared import PreparedScene, prepare
 from prt_bake.trainer.cores import alternating_threads, concurrent_threads
 from prt_bake.trainer.learner import LearningSettings
+from prt_bake.trainer.references import Follow
 from prt_bake.trainer.samples.repeatable import AlternatingRenderer
 from prt_bake.trainer.samples.rows import Box, RowSource, RowTracer, StreamSettings, row_tracer
 from prt_bake.trainer.samples.stream import BackgroundRenderer
@@ -28,8 +29,8 @@ class TrainingData(Protocol):
     resume_settings: dict[str, Any]
     """Settings that a resumed run must share with the run that it continues."""
 
-    def reference(self, learning: LearningSettings) -> Reference:
-        """The reference of the validation error during the run."""
+    def reference(self, learning: LearningSettings, seconds: float, follow: Follow) -> Reference:
+        """The reference of the validation error during the run, path traced for at most `seconds`."""
 
     def source(self, learning: LearningSettings, network: NeuralBSSRDF, state: dict[str, int] | None) -> RowSource:
         """The source of training rows for the network, continued from `state` if given."""
@@ -37,8 +38,13 @@ class TrainingData(Protocol):
     def learner_threads(self, learning: LearningSettings, device: str) -> int:
         """Threads that the learner may use."""
 
-    def metadata(self, network: NeuralBSSRDF, learning: LearningSettings) -> dict[str, Any]:
-        """Entries of the model's metadata: its final errors and the data that it learned from."""
+    def description(self) -> dict[str, Any]:
+        """Entries of the model's metadata: the data that it learned from."""
+
+    def errors(
+        self, network: NeuralBSSRDF, learning: LearningSettings, seconds: float, follow: Follow
+    ) -> dict[str, Any]:
+        """Entries of the model's metadata: its final errors, measured for at most `seconds`."""
 
 
 class PathTracedData:
@@ -57,10 +63,10 @@ class PathTracedData:
         self.on_gpu = device == "cuda"
         self._prepared: PreparedScene = prepare(scene)
 
-    def reference(self, learning: LearningSettings) -> Reference:
+    def reference(self, learning: LearningSettings, seconds: float, follow: Follow) -> Reference:
         """Path-traced queries of a separate seed."""
         count, walks = learning.held_out_queries, learning.held_out_walks
-        return validation_reference(self.scene, self._prepared, count, walks, self._device)
+        return validation_reference(self.scene, self._prepared, count, walks, self._device, seconds, follow)
 
     def source(self, learning: LearningSettings, network: NeuralBSSRDF, state: dict[str, int] | None) -> RowSource:
         """A renderer whose kernel is compiled."""
@@ -84,14 +90,40 @@ class PathTracedData:
         """One thread for synchronous runs: the rounding of sums depends on the number of threads."""
         return 1 if self._synchronous else concurrent_threads(learning.core_share, device).learner
 
-    def metadata(self, network: NeuralBSSRDF, learning: LearningSettings) -> dict[str, Any]:
-        """Errors on fresh queries, and the renderer's settings."""
+    def description(self) -> dict[str, Any]:
+        """The renderer's settings."""
+        return {"stream": asdict(self._stream)}
+
+    def errors(
+        self, network: NeuralBSSRDF, learning: LearningSettings, seconds: float, follow: Follow
+    ) -> dict[str, Any]:
+        """Errors on fresh queries."""
         count, walks = learning.held_out_queries, learning.held_out_walks
-        errors = final_errors(network, self.scene, self._prepared, count, walks, device=self._device)
-        return {"stream": asdict(self._stream), "relative_rmse": asdict(errors)}
+        found = final_errors(
+            network, self.scene, self._prepared, count, walks, device=self._device, seconds=seconds, follow=follow
+        )
+        return {"relative_rmse": asdict(found)}
 
 
 def box_of(scene: Scene) -> Box:
     """The box of the scene's outermost mesh."""
     low, high = scene.mesh.positions.min(axis=0), scene.mesh.positions.max(axis=0)
     return Box(low, float((high - low).max()))
+
+
+def stream_for(device: str) -> StreamSettings:
+    """The renderer's settings for the device that path traces."""
+    if device == "cpu":
+        return StreamSettings()
+    from prt_bake.trainer.gpu.renderer import GPU_STREAM
+
+    return GPU_STREAM
+
+
+def learning_for(data: TrainingData) -> LearningSettings:
+    """The learner's settings for the device that path traces."""
+    if not data.on_gpu:
+        return LearningSettings()
+    from prt_bake.trainer.gpu.learner import GPU_LEARNING
+
+    return GPU_LEARNING

@@ -3,6 +3,8 @@
 Ŝ has no point values behind a smooth interface; only the coefficients a_lm are compared there.
 """
 
+import math
+import time
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Protocol
 
@@ -16,6 +18,7 @@ from prt_bake.mathematics.noise_free import Interval, Sums, relative_rmse
 from prt_bake.mathematics.sphere import fibonacci
 from prt_bake.tracer.estimate import estimate_coefficients
 from prt_bake.tracer.prepared import PreparedScene, is_unrefracted, prepare, smooth_part
+from prt_bake.trainer.references import FIRST_BATCHES, Follow, Traced, silent, trace_reference
 from prt_bake.trainer.samples.queries import Queries, QuerySource
 from prt_bake.trainer.samples.rows import trace_values
 
@@ -24,7 +27,13 @@ Device = Literal["cpu", "cuda"]
 
 VALIDATION_SEED = 0x7E57
 FINAL_SEED = 0xF17A
-_COEFFICIENT_DEGREE = 2
+_DEGREE = 2
+_BATCHES = 64
+"""Batches of the walks of a query. The first eight are traced for all queries before the others."""
+_VALUES_SHARE = 0.3
+"""Share of the time of the final figures for the values of Ŝ; the coefficients get the rest."""
+_ONLY_NOISE = 0.9
+"""A reference of this relative noise is hardly more than noise, which a difference of squares would hide."""
 _DIRECTIONS = 512
 _VALIDATION_DIRECTIONS = 256
 """Directions while training. Coefficients need many more evaluations than values, so fewer queries and directions are
@@ -91,41 +100,135 @@ class HeldOutCoefficients:
         return float(np.sqrt(np.mean(np.sum(self.mean**2, axis=1)) / (4.0 * np.pi)))
 
 
-def hold_out(prepared: PreparedScene, count: int, directions: int, walks: int, seed: int) -> HeldOut:
-    """Path trace `count` queries with `directions` directions and `walks` walks each."""
+def hold_out(
+    prepared: PreparedScene,
+    count: int,
+    directions: int,
+    walks: int,
+    seed: int,
+    seconds: float = math.inf,
+    follow: Follow = silent,
+) -> HeldOut:
+    """Path trace `count` queries with `directions` directions and `walks` walks each; fewer if `seconds` are over."""
+    queries, traced = _traced_values(prepared, count, directions, walks, seed, seconds, follow)
+    return HeldOut(queries, traced.estimates.mean, traced.standard_error)
+
+
+def _traced_values(
+    prepared: PreparedScene,
+    count: int,
+    directions: int,
+    walks: int,
+    seed: int,
+    seconds: float,
+    follow: Follow,
+    network: Any = None,
+) -> tuple[Queries, Traced]:
     source = QuerySource(prepared, directions, seed)
     queries = source.draw(0, count)
-    mean, error = trace_values(prepared, source, queries, walks, directions, seed)
-    return HeldOut(queries, mean, error)
+
+    def estimate(rows: slice, paths: int, key: int) -> Array:
+        return trace_values(prepared, source, queries.select(rows), paths, directions, key)[0]
+
+    def predict(rows: slice) -> Array:
+        some = queries.select(rows)
+        return np.asarray(network.evaluate(some.incident, some.positions, some.outgoing))
+
+    traced = trace_reference(
+        estimate,
+        count,
+        *_batches(walks),
+        predict=None if network is None else predict,
+        until_precise=False,
+        seconds=seconds,
+        seed=seed,
+        follow=follow,
+    )
+    return queries.select(slice(0, len(traced))), traced
 
 
 def hold_out_coefficients(
-    scene: Scene, count: int, walks: int, seed: int, directions: int, device: Device = "cpu"
+    scene: Scene,
+    count: int,
+    walks: int,
+    seed: int,
+    directions: int,
+    device: Device = "cpu",
+    seconds: float = math.inf,
+    follow: Follow = silent,
 ) -> HeldOutCoefficients:
-    """Path trace the coefficients of `count` queries with `walks` walks; networks are evaluated in `directions`."""
-    queries = QuerySource(prepare(scene), 1, seed).draw(0, count)
-    traced = estimate_coefficients(
-        scene, queries.location.positions, queries.outgoing, _COEFFICIENT_DEGREE, walks, seed + 1, device=device
+    """Path trace the coefficients of `count` queries with `walks` walks, fewer if `seconds` are over.
+
+    Networks are evaluated in `directions`.
+    """
+    queries, traced = _traced_coefficients(scene, count, walks, seed, device, seconds, follow)
+    return HeldOutCoefficients(
+        queries.positions, queries.outgoing, traced.estimates.mean, traced.standard_error, directions
     )
-    return HeldOutCoefficients(queries.positions, queries.outgoing, traced.mean, traced.standard_error, directions)
+
+
+def _traced_coefficients(
+    scene: Scene,
+    count: int,
+    walks: int,
+    seed: int,
+    device: Device,
+    seconds: float,
+    follow: Follow,
+    network: Any = None,
+) -> tuple[Queries, Traced]:
+    queries = QuerySource(prepare(scene), 1, seed).draw(0, count)
+
+    def estimate(rows: slice, paths: int, key: int) -> Array:
+        some = queries.select(rows)
+        positions, outgoing = some.location.positions, some.outgoing
+        return estimate_coefficients(scene, positions, outgoing, _DEGREE, paths, key, device=device).mean
+
+    def predict(rows: slice) -> Array:
+        some = queries.select(rows)
+        return network_coefficients(network, some.positions, some.outgoing)
+
+    traced = trace_reference(
+        estimate,
+        count,
+        *_batches(walks),
+        predict=None if network is None else predict,
+        until_precise=False,
+        seconds=seconds,
+        seed=seed + 1,
+        follow=follow,
+    )
+    return queries.select(slice(0, len(traced))), traced
+
+
+def _batches(walks: int) -> tuple[int, int]:
+    """Walks per query of a batch, and the number of batches."""
+    paths = max(2, walks // _BATCHES)
+    return paths, max(FIRST_BATCHES, walks // paths)
 
 
 def validation_reference(
-    scene: Scene, prepared: PreparedScene, queries: int, walks: int, device: Device = "cpu"
+    scene: Scene,
+    prepared: PreparedScene,
+    queries: int,
+    walks: int,
+    device: Device = "cpu",
+    seconds: float = math.inf,
+    follow: Follow = silent,
 ) -> Reference:
     """The reference of the validation error: values, or coefficients where those cost a tenth."""
     if is_unrefracted(scene):
-        return hold_out(prepared, queries, 8, walks, VALIDATION_SEED)
+        return hold_out(prepared, queries, 8, walks, VALIDATION_SEED, seconds, follow)
     return hold_out_coefficients(
-        scene, max(1, queries // 4), 8 * walks, VALIDATION_SEED, _VALIDATION_DIRECTIONS, device
+        scene, max(1, queries // 4), 8 * walks, VALIDATION_SEED, _VALIDATION_DIRECTIONS, device, seconds, follow
     )
 
 
 def network_coefficients(network: Any, positions: Array, outgoing: Array, directions: int = _DIRECTIONS) -> Array:
     """A network's a_lm [N,9,3], fitted to its values on a lattice of `directions`."""
     lattice = fibonacci(directions)
-    basis = sh.evaluate(lattice, _COEFFICIENT_DEGREE)
-    values = up_to(network, _COEFFICIENT_DEGREE).evaluate(lattice, positions, outgoing).astype(np.float64)
+    basis = sh.evaluate(lattice, _DEGREE)
+    values = up_to(network, _DEGREE).evaluate(lattice, positions, outgoing).astype(np.float64)
     return np.asarray(np.einsum("kd,ndc->nkc", np.linalg.pinv(basis), values))
 
 
@@ -142,7 +245,7 @@ class FinalErrors:
 
     An error is None if it is unknown, because the noise is as large as the values. Ŝ has neither behind a smooth
     interface, where it has no point values. The interval is the 95 % confidence interval of the coefficients' error;
-    None if it is unknown, as for few queries.
+    None if it is unknown, as for few queries. queries, walks: those of the coefficients.
     """
 
     transport: float | None
@@ -162,28 +265,54 @@ def final_errors(
     walks: int,
     seed: int = FINAL_SEED,
     device: Device = "cpu",
+    seconds: float = math.inf,
+    follow: Follow = silent,
 ) -> FinalErrors:
-    """The errors of a trained network against the path tracer, on queries of a separate seed."""
-    values = hold_out(prepared, queries, 8, walks, seed) if smooth_part(scene) is None else None
-    reference = hold_out_coefficients(scene, queries, 8 * walks, seed, _DIRECTIONS, device)
-    known = relative_noise(reference) < 1.0  # a difference of squares would hide that the reference is only noise
-    error = reference.interval(network) if known else None
+    """The errors of a trained network against the path tracer, on queries of a separate seed.
+
+    `seconds` limits the time: then fewer queries are traced, with fewer walks each, and the interval is wider.
+    """
+    begun = time.perf_counter()
+    values = None
+    if smooth_part(scene) is None:
+        share = _VALUES_SHARE if math.isfinite(seconds) else 1.0
+
+        def follow_values(done: float) -> None:
+            follow(_VALUES_SHARE * done)
+
+        _queries, values = _traced_values(prepared, queries, 8, walks, seed, share * seconds, follow_values, network)
+    left = max(0.0, seconds - (time.perf_counter() - begun))
+
+    def follow_coefficients(done: float) -> None:
+        follow(_VALUES_SHARE + (1.0 - _VALUES_SHARE) * done)
+
+    traced = _traced_coefficients(scene, queries, 8 * walks, seed, device, left, follow_coefficients, network)[1]
+    noise = _noise_of(traced)
+    error = relative_rmse(traced.errors(), FINAL_SEED) if noise < _ONLY_NOISE else None
     return FinalErrors(
-        transport=None if values is None else _known_error(values, network),
-        transport_noise=None if values is None else relative_noise(values),
+        transport=None if values is None else _known_error(values),
+        transport_noise=None if values is None else _noise_of(values),
         coefficients=None if error is None else error.value,
         coefficients_interval=None if error is None or np.isnan(error.low) else [error.low, error.high],
-        coefficients_noise=relative_noise(reference),
-        queries=queries,
-        walks=walks,
+        coefficients_noise=noise,
+        queries=len(traced),
+        walks=traced.walks,
     )
 
 
-def _known_error(reference: HeldOut, network: Any) -> float | None:
-    """The error of a network; None if the reference is only noise, which a difference of squares would hide."""
-    return None if relative_noise(reference) >= 1.0 else reference.relative_rmse(network)
+def _known_error(values: Traced) -> float | None:
+    """The error of the predictions; None if the reference is only noise."""
+    return None if _noise_of(values) >= _ONLY_NOISE else relative_rmse(values.errors(), FINAL_SEED).value
+
+
+def _noise_of(traced: Traced) -> float:
+    return _relative(traced.standard_error, traced.estimates.mean)
 
 
 def relative_noise(reference: HeldOut | HeldOutCoefficients) -> float:
     """The root mean square standard error of a reference over the root mean square of its values."""
-    return float(np.sqrt(np.sum(reference.standard_error**2) / max(float(np.sum(reference.mean**2)), 1e-300)))
+    return _relative(reference.standard_error, reference.mean)
+
+
+def _relative(error: Array, values: Array) -> float:
+    return float(np.sqrt(np.sum(error**2) / max(float(np.sum(values**2)), 1e-300)))

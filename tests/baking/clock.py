@@ -10,6 +10,7 @@ MODULES = (
     "adaptive.run",
     "adaptive.trials",
     "adaptive.pilot_pass",
+    "adaptive.predicted_cost",
     "job.forecast",
     "job.work",
     "output.writing_time",

@@ -79,7 +79,7 @@ def views(mesh: Mesh, rings: int, sectors: int) -> Array:
 )
 def test_band_limited_transports_are_recovered_exactly(degree: int, rings: int, sectors: int) -> None:
     mesh, transport = ball(14 if degree < 8 else 6), Banded(degree)
-    asset = bake(transport, mesh, degree, rings, sectors, seed=3)
+    asset = bake(transport, mesh, degree, rings, sectors, samples=64, seed=3)
     outgoing = views(mesh, rings, sectors)
     bins = rings * sectors
     expected = transport.coefficients(np.repeat(mesh.positions, bins, axis=0), outgoing.reshape(-1, 3))
@@ -161,19 +161,19 @@ def test_the_lattice_is_unbiased_and_far_better_than_uniform_directions() -> Non
 def test_equal_seeds_give_equal_assets_for_any_number_of_workers() -> None:
     mesh = ball()
     network = NeuralBSSRDF(NetworkSettings(features=16, width=16), mesh.bounds[0], 2.0)
-    first, second = (bake(network, mesh, 1, 4, 32, seed=4, workers=workers) for workers in (1, 2))
+    first, second = (bake(network, mesh, 1, 4, 32, samples=64, seed=4, workers=workers) for workers in (1, 2))
     np.testing.assert_array_equal(first.coefficients, second.coefficients)
     np.testing.assert_array_equal(first.standard_error, second.standard_error)
-    other = bake(network, mesh, 1, 4, 32, seed=5)
+    other = bake(network, mesh, 1, 4, 32, samples=64, seed=5)
     assert (other.coefficients != first.coefficients).any()
 
 
 def test_a_vertex_does_not_depend_on_the_block_size(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = ball()
     network = NeuralBSSRDF(NetworkSettings(features=16, width=16), mesh.bounds[0], 2.0)
-    whole = bake(network, mesh, 2, 4, 32)
+    whole = bake(network, mesh, 2, 4, 32, samples=64)
     monkeypatch.setattr("bakers.baker.vertices_at_once", lambda bins, directions: 3)
-    np.testing.assert_array_equal(bake(network, mesh, 2, 4, 32).coefficients, whole.coefficients)
+    np.testing.assert_array_equal(bake(network, mesh, 2, 4, 32, samples=64).coefficients, whole.coefficients)
 
 
 def test_the_fast_evaluation_of_networks_agrees_with_evaluate() -> None:
@@ -183,7 +183,7 @@ def test_the_fast_evaluation_of_networks_agrees_with_evaluate() -> None:
     class EvaluateOnly:
         evaluate = staticmethod(network.evaluate)
 
-    fast, plain = bake(network, mesh, 2, 2, 32), bake(EvaluateOnly(), mesh, 2, 2, 32)
+    fast, plain = bake(network, mesh, 2, 2, 32, samples=64), bake(EvaluateOnly(), mesh, 2, 2, 32, samples=64)
     np.testing.assert_allclose(fast.coefficients, plain.coefficients, atol=1e-5 * np.abs(plain.coefficients).max())
 
 
@@ -232,14 +232,14 @@ class Cracked(Kinked):
 
 def test_vertices_that_are_not_finite_are_reported_and_the_others_baked() -> None:
     mesh = ball(20)
-    asset = bake(Cracked(0.8), mesh, 1, 2, 4)
-    finite = bake(Kinked(), mesh, 1, 2, 4)
+    asset = bake(Cracked(0.8), mesh, 1, 2, 4, samples=64)
+    finite = bake(Kinked(), mesh, 1, 2, 4, samples=64)
     bad = np.flatnonzero(mesh.positions[:, 2] > 0.8)
     assert asset.provenance["vertices_not_finite"] == {"count": len(bad), "first": bad.tolist()}
     np.testing.assert_array_equal(np.flatnonzero(~asset.valid), bad)
     np.testing.assert_array_equal(asset.coefficients[asset.valid], finite.coefficients[asset.valid])
     with pytest.raises(QueryError, match=r"Cracked: expected finite values, found .* at all 20 vertices"):
-        bake(Cracked(-2.0), mesh, 1, 2, 4)
+        bake(Cracked(-2.0), mesh, 1, 2, 4, samples=64)
 
 
 @pytest.mark.parametrize("method", ["stop", "interrupt"])
@@ -255,8 +255,8 @@ def test_a_stopped_bake_leaves_a_valid_partial_asset(
             raise KeyboardInterrupt
 
     stop = (lambda: len(done) == 3) if method == "stop" else None
-    asset = bake(Kinked(), ball(), 1, 2, 4, out=tmp_path / "a.h5", progress=progress, stop=stop)
-    whole = bake(Kinked(), ball(), 1, 2, 4)
+    asset = bake(Kinked(), ball(), 1, 2, 4, samples=64, out=tmp_path / "a.h5", progress=progress, stop=stop)
+    whole = bake(Kinked(), ball(), 1, 2, 4, samples=64)
     assert not asset.complete
     assert asset.provenance["vertices_baked"] == 6
     np.testing.assert_array_equal(np.flatnonzero(asset.valid), np.arange(6))
@@ -317,8 +317,8 @@ def test_arguments_out_of_their_domain_raise(change: dict[str, Any], sentence: s
 
 def test_the_plan_agrees_with_the_bake() -> None:
     mesh = ball()
-    expected = plan(Kinked(), mesh, 2, 2, 4)
-    asset = bake(Kinked(), mesh, 2, 2, 4)
+    expected = plan(Kinked(), mesh, 2, 2, 4, samples=64)
+    asset = bake(Kinked(), mesh, 2, 2, 4, samples=64)
     assert expected.evaluations == asset.provenance["evaluations"]
     assert expected.raw_bytes == asset.coefficients.size * 2
     assert expected.seconds is not None

@@ -39,7 +39,7 @@ def queries(asset: Asset, eyes: int) -> list[tuple[NDArray[np.int64], Array, Arr
     for number in range(eyes):
         turn = 2.0 * math.pi * (number + 0.15) / eyes
         direction = np.array([math.sin(turn), 0.25, math.cos(turn)])
-        camera = prt.fit_camera(asset.mesh, SIZE, SIZE)
+        camera = prt.fit_camera(asset.mesh, SIZE, SIZE, view="three-quarter-back")
         distance = np.linalg.norm(camera.eye - camera.target)
         camera = replace(camera, eye=camera.target + distance * direction / np.linalg.norm(direction))
         corners = asset.mesh.faces[find_visible_points(visibility, camera, grid_offsets(1)).faces].ravel()

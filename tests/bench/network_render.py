@@ -89,7 +89,7 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(1)
     mesh, network = read_mesh(args.mesh), load_model(args.model)
-    view = camera.fit(mesh, args.size, args.size)
+    view = camera.fit(mesh, args.size, args.size, view="three-quarter-back")
     module = module_of(args.model, mesh, args.minutes, args.module)
     lights = rotated(args.sky) if args.sky else skies()
     render_network(network, mesh, skies()["grey"], view, 64, importance=module)  # compile

@@ -33,7 +33,9 @@ EXPOSURES = (-1.0, 3.0)
 def picture(spp: int, size: int, seed: int) -> Rendering:
     """Spot under the shipped sky."""
     scene = read_scene(MESH.with_suffix(".toml"))
-    return render_scene(scene, read_environment(SKY), camera.fit(read_mesh(MESH), size, size), spp, seed)
+    return render_scene(
+        scene, read_environment(SKY), camera.fit(read_mesh(MESH), size, size, view="three-quarter-back"), spp, seed
+    )
 
 
 def waves(size: int) -> NDArray[np.float64]:

@@ -40,7 +40,7 @@ def main() -> None:
     assets = [bake(network, mesh, seed=seed, **bins, **effort) for seed in range(1, args.bakes + 1)]
     if args.compress:
         assets = [compress(asset, args.compress) for asset in assets]
-    view = fit(mesh, args.size, args.size)
+    view = fit(mesh, args.size, args.size, view="three-quarter-back")
     print(f"{'light':32}{'suns':8}{'stated':>9}{'true':>9}{'ratio':>10}{'rms z':>8}{'median':>8}")
     for name in args.lights:
         lighting = read_lighting([name], "y", mesh=mesh)

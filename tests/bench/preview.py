@@ -4,7 +4,7 @@
 
 Start-up: `prtbake view ASSET --screenshot` from the shell to the written picture, best and median of several runs, wall
 time and processor time. Frames: an off-screen window (with --display on the display) with its text and sliders, orbited
-by 3 degrees per frame: shading for the new eye, upload of the colours, drawing by VTK, with the edges of a moving view.
+by 3 degrees per frame: shading for the new eye, upload of the colours, drawing, with the edges of a moving view.
 Wall times are medians, frame rates those of the median and of the best tenth of the frames. Processor time is of
 all threads together, and other processes affect it less. Refinement at rest: the time until a sun is shaded separately
 at all visible vertices, and its longest slice, during which the window does not respond.
@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from formats.asset import Asset
 from prt_bake.geometry import camera
 from prt_bake.mathematics import sh
-from prt_bake.preview.canvas import Canvas
 from prt_bake.preview.lights import LightSource
+from prt_bake.preview.plotter import open_plotter
 from prt_bake.preview.refinement import facing
 from prt_bake.preview.state import Mode, Preview
 from prt_bake.preview.view import View
@@ -73,24 +73,25 @@ def make_asset(vertices: int) -> Asset:
 
 def orbit(preview: Preview, size: tuple[int, int], frames: int, display: bool) -> dict[str, float]:
     """Milliseconds per frame by stage, processor time included; frames per second."""
-    canvas = Canvas(*size, not display)
-    view = TimedView(preview, canvas, camera.fit(preview.asset.mesh, *size))
-    Window(view, "bench").render()
-    view.smooth(False)
+    plotter = open_plotter(*size, not display)
+    view = TimedView(preview, plotter, camera.fit(preview.asset.mesh, *size, view="three-quarter-back"))
+    window = Window(view, "bench")
+    plotter.show(auto_close=False, interactive=False)
+    window.render()
     parts = []
     for frame in range(frames + 5):
-        canvas.camera.Azimuth(3.0)
+        plotter.camera.Azimuth(3.0)
         view.shading = view.uploading = 0.0
         began, busy = time.perf_counter(), time.process_time()
-        view.window.Render()
-        view.window.WaitForCompletion()
+        plotter.render()
+        plotter.render_window.WaitForCompletion()
         frame_time = time.perf_counter() - began
         if frame >= 5:
             drawing = frame_time - view.shading - view.uploading
             parts.append((view.shading, view.uploading, drawing, frame_time, time.process_time() - busy))
-    canvas.close()
+    plotter.close()
     middle, best = (1e3 * np.quantile(parts, share, axis=0) for share in (0.5, 0.1))
-    names = ("shading", "upload", "VTK", "frame", "processors")
+    names = ("shading", "upload", "drawing", "frame", "processors")
     figures = dict(zip(names, middle.tolist(), strict=True))
     return {**figures, "per second": 1e3 / float(middle[3]), "best tenth per second": 1e3 / float(best[3])}
 
@@ -99,7 +100,7 @@ def refine(asset: Asset) -> None:
     """Print the time until a sun is shaded separately at all visible vertices."""
     preview = Preview(asset, [LightSource("sun:1,2,3", asset.up, asset.degree)])
     preview.load()
-    eye = camera.fit(asset.mesh, up=asset.up).eye
+    eye = camera.fit(asset.mesh, up=asset.up, view="three-quarter-back").eye
     began, slices = time.perf_counter(), [time.perf_counter()]
     while not preview.refine(eye, SLICE):
         slices.append(time.perf_counter())

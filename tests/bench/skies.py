@@ -92,7 +92,7 @@ def main() -> None:
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     asset, scene = prt.read_asset(args.asset), prt.load_scene(args.scene)
-    view = camera.fit(scene.mesh, args.size, args.size)
+    view = camera.fit(scene.mesh, args.size, args.size, view="three-quarter-back")
     for sky in args.skies:
         name = Path(sky).stem
         if sky == "studio":

@@ -65,7 +65,7 @@ def reference(folder: Path, scene_path: Path, light: str, spp: int) -> tuple[Arr
     """The path-traced picture [H,W,3] and the object's coverage [H,W]."""
     picture = np.zeros((SIZE, SIZE, 3))
     scene = prt.load_scene(scene_path)
-    view = camera.fit(scene.mesh, SIZE, SIZE)
+    view = camera.fit(scene.mesh, SIZE, SIZE, view="three-quarter-back")
     for name, source, factor in parts(light):
         path = folder / f"{scene_path.stem}.{name}.exr"
         if not path.exists():
@@ -81,7 +81,7 @@ class Viewed:
     """An asset from a fixed eye: the vertices that contribute to each sample, and their coefficients."""
 
     def __init__(self, asset: Asset) -> None:
-        self.asset, self.view = asset, camera.fit(asset.mesh, SIZE, SIZE)
+        self.asset, self.view = asset, camera.fit(asset.mesh, SIZE, SIZE, view="three-quarter-back")
         steps = (np.arange(SAMPLES) + 0.5) / SAMPLES
         offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
         rays = camera.directions(self.view, slice(0, SIZE), offsets).reshape(-1, 3)

@@ -9,7 +9,6 @@ import pytest
 
 from formats.image import read_image, write_image
 from formats.image.png import to_srgb
-from prt_bake.preview.canvas import Canvas
 from prt_bake.preview.window import Window
 from tests.cli.command_line import Run
 
@@ -23,6 +22,7 @@ COMMAND = ["view", "asset.h5", "--light", "sky.exr"]
         ["--rotate", 60, "--exposure", -1],
         ["--up", "y"],
         ["--eye", "2,3,1"],
+        ["--view", "left"],
         ["--suns", "plain"],
         ["--suns", "window"],
     ],
@@ -36,6 +36,7 @@ def test_a_screenshot_equals_the_picture_of_shade(prtbake: Run, tmp_path: Path, 
     shot, shaded = tmp_path / "shot.png", tmp_path / "shade.png"
     outcome = prtbake("view", "asset.h5", *light, "--screenshot", shot)
     assert (outcome.code, outcome.err) == (0, "")
+    assert outcome.out.startswith("asset.h5: error of the coefficients ")
     assert "64x48 pixels" in outcome.out
     assert prtbake("shade", "asset.h5", *light, "-o", shaded).code == 0
     off = 255.0 * np.abs(to_srgb(read_image(shot)) - to_srgb(read_image(shaded))).max(axis=2)
@@ -81,7 +82,7 @@ def test_a_missing_display_is_reported(prtbake: Run, monkeypatch: pytest.MonkeyP
 
 WITHOUT = """
 import sys
-sys.modules["vtkmodules"] = None
+sys.modules["pyvista"] = None
 from prt_bake.cli.main import main
 code = main(sys.argv[1:])
 assert "torch" not in sys.modules
@@ -89,11 +90,11 @@ sys.exit(code)
 """
 
 
-def test_without_vtk_the_message_names_the_extra(folder: Path, tmp_path: Path) -> None:
+def test_without_pyvista_the_message_names_what_to_install(folder: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-c", WITHOUT, *COMMAND, "--screenshot", str(tmp_path / "shot.png")]
     ran = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert (ran.returncode, len(ran.stderr.splitlines())) == (1, 1)
-    assert "pip install 'prt-bake[preview]'" in ran.stderr
+    assert "pip install pyvista" in ran.stderr
 
 
 @pytest.mark.parametrize(
@@ -133,8 +134,9 @@ def test_the_window_is_shown(prtbake: Run, monkeypatch: pytest.MonkeyPatch) -> N
 
     seen = []
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr(Canvas, "on_display", True)
+    monkeypatch.setattr(window, "on_display", lambda _: True)
     monkeypatch.setattr(Window, "run", lambda self: seen.append(self))
-    monkeypatch.setattr(window, "Canvas", lambda width, height, *_: Canvas(width, height, True))
+    in_memory = window.open_plotter
+    monkeypatch.setattr(window, "open_plotter", lambda width, height, *_: in_memory(width, height, True))
     assert prtbake(*COMMAND, "--light", "sky.hdr", "--size", "64x48").code == 0
     assert [source.name for source in seen[0].view.preview.lights] == ["sky.exr", "sky.hdr"]

@@ -239,3 +239,33 @@ def test_camera_looks_at_its_target() -> None:
     for wrong in (0.0, -1.0, np.inf, np.nan):
         with pytest.raises(QueryError, match="extent"):
             fit(mesh, 8, 8, extent=wrong)
+
+
+@pytest.mark.parametrize(
+    ("view", "y_up", "z_up"),
+    [
+        ("front", [0, 0, 1], [0, -1, 0]),
+        ("back", [0, 0, -1], [0, 1, 0]),
+        ("right", [1, 0, 0], [1, 0, 0]),
+        ("left", [-1, 0, 0], [-1, 0, 0]),
+        ("three-quarter", [0.43, 0.24, 0.87], [0.43, -0.87, 0.24]),
+        ("three-quarter-back", [-0.43, 0.24, -0.87], [-0.43, 0.87, 0.24]),
+        (None, [0.43, 0.24, 0.87], [0.43, -0.87, 0.24]),
+    ],
+)
+def test_each_view_is_from_its_side(view, y_up, z_up):
+    """Front is +z in glTF, which has y up, and −y in Blender, which has z up; right is +x in both."""
+    mesh = build_mesh(ball(2).positions + np.array([5.0, 6.0, 7.0]), ball(2).faces)
+    for up, expected in (("y", y_up), ("z", z_up)):
+        for options in ({}, {"orthographic": True}):
+            camera = fit(mesh, 20, 20, up=up, view=view, **options)
+            towards = -camera.forward
+            np.testing.assert_allclose(towards, expected / np.linalg.norm(expected), atol=1e-12)
+
+
+def test_views_that_are_unknown_or_beside_an_eye_are_refused():
+    mesh = ball(1)
+    with pytest.raises(QueryError, match=r"camera: expected a view of front, back, left, .*, found 'top'"):
+        fit(mesh, view="top")
+    with pytest.raises(QueryError, match=r"expected a view or an eye, found both, 'front' and \[0, 0, 9\]"):
+        fit(mesh, view="front", eye=[0, 0, 9])

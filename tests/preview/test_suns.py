@@ -167,12 +167,12 @@ def opened(sky, monkeypatch):
     """A window with a sunny and a sunless sky."""
     window = open_window(lobed(), [sky, write_sky(windows.Path("sky.exr"), painted_sky())])
     yield window
-    window.view.canvas.close()
+    window.plotter.close()
 
 
 def tick_until_refined(window) -> None:
     """Send timer events until the picture is refined."""
-    interactor = window.view.canvas.interactor
+    interactor = window.plotter.iren.interactor
     for _ in range(100):
         interactor.InvokeEvent("TimerEvent")
         if not window.view.unrefined:
@@ -190,7 +190,7 @@ def test_a_resting_window_shows_what_shade_shows(opened, monkeypatch) -> None:
     np.testing.assert_allclose(opened.view.colours[:, :3], plain, atol=1e-5)
     assert "suns in harmonics" in status(opened)
     monkeypatch.setattr(windows, "_STILL", 1e9)
-    opened.view.canvas.interactor.InvokeEvent("TimerEvent")
+    opened.plotter.iren.interactor.InvokeEvent("TimerEvent")
     assert "suns in harmonics" in status(opened)
     monkeypatch.setattr(windows, "_STILL", 0.0)
     tick_until_refined(opened)
@@ -217,7 +217,7 @@ def test_a_key_toggles_the_treatment_of_suns(opened, monkeypatch) -> None:
     press(opened, "u")
     preview, eye = opened.view.preview, opened.view.eye
     for _ in range(3):
-        opened.view.canvas.interactor.InvokeEvent("TimerEvent")
+        opened.plotter.iren.interactor.InvokeEvent("TimerEvent")
         np.testing.assert_allclose(opened.view.colours[:, :3], shaded(preview, "plain", eye), atol=1e-5)
     assert "suns in harmonics" in status(opened)
     press(opened, "u")

@@ -1,4 +1,4 @@
-"""VTK draws the same pixels as `prtbake shade`."""
+"""The plotter draws the same pixels as `prtbake shade`."""
 
 import dataclasses
 import math
@@ -31,7 +31,7 @@ def both(asset: Asset, sky: np.ndarray, path, eye=None, rotation=0.0, exposure=0
     view = camera.fit(asset.mesh, *SIZE, eye=eye, up=asset.up)
     picture = render_picture(asset, as_lighting(sky, asset.up, rotation), view, samples=4)
     found = bare_picture(window)
-    window.view.canvas.close()
+    window.plotter.close()
     return found, encoded(picture.image, exposure), picture.coverage
 
 
@@ -87,13 +87,13 @@ def moved(mesh: Mesh, path, nearer=1.0) -> tuple[bool, np.ndarray, np.ndarray]:
     window = open_window(make_asset(mesh), [write_sky(path, 0.2 * painted_sky())], SIZE, np.array([0.0, 0.5, 4.0]))
     view = window.view
     view.smooth(False)
-    view.canvas.camera.Azimuth(20.0)
-    view.canvas.camera.SetPosition(*(nearer * np.array(view.canvas.camera.GetPosition())))
-    found, backs = view.picture(), view._object.actor.GetProperty()
-    hidden = bool(backs.GetBackfaceCulling())
-    backs.SetBackfaceCulling(not hidden)
+    view.plotter.camera.Azimuth(20.0)
+    view.plotter.camera.position = nearer * np.array(view.plotter.camera.position)
+    found, prop = view.picture(), view._object.actor.prop
+    hidden = prop.culling == "back"
+    prop.culling = "none" if hidden else "back"
     other = view.picture()
-    view.canvas.close()
+    view.plotter.close()
     return hidden, found, other
 
 
@@ -166,7 +166,7 @@ def test_a_rough_surface_blurs_its_reflection(tmp_path) -> None:
         window = open_window(mirror(ball(3), alpha), [write_sky(tmp_path / "sky.exr", sky)], SIZE)
         press(window, "r", "b")
         seen.append(bare_picture(window).max(axis=2))
-        window.view.canvas.close()
+        window.plotter.close()
     assert (seen[1] > 100).sum() > 2 * (seen[0] > 100).sum()
     assert (seen[0] > 200).any()
 

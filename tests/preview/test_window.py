@@ -18,7 +18,7 @@ from prt_bake.preview import window as windows
 from prt_bake.preview.state import Mode
 from prt_bake.preview.window import Window
 from prt_bake.shading.picture import render_picture
-from tests.preview.windows import bare_picture, drag, encoded, open_window, press, slide, write_sky
+from tests.preview.windows import bare_picture, drag, encoded, mouse, open_window, press, slide, write_sky
 from tests.shading.test_picture import constant, make_asset, painted_sky
 from tests.shapes import ball
 
@@ -36,7 +36,7 @@ def opened(tmp_path):
     lights = [write_sky(tmp_path / "sky.exr", SKY), write_sky(tmp_path / "white.exr", 0.3 * constant())]
     window = open_window(make_asset(ball(2), provenance={"eta": 1.5}), lights)
     yield window
-    window.view.canvas.close()
+    window.plotter.close()
 
 
 def texts_of(window: Window) -> str:
@@ -48,10 +48,10 @@ def texts_of(window: Window) -> str:
 def camera_of(window: Window) -> Camera:
     """Return the window's camera in object space."""
     view = window.view
-    camera = view.canvas.camera
-    target = view.preview.asset.mesh.center + view.radius * np.array(camera.GetFocalPoint())
-    width, height = view.window.GetSize()
-    return Camera(view.eye, target, np.array(camera.GetViewUp()), camera.GetViewAngle(), width, height)
+    camera = view.plotter.camera
+    target = view.preview.asset.mesh.center + view.radius * np.array(camera.focal_point)
+    width, height = view.plotter.window_size
+    return Camera(view.eye, target, np.array(camera.up), camera.view_angle, width, height)
 
 
 def test_orbiting_shades_for_every_eye(opened) -> None:
@@ -73,7 +73,7 @@ def test_edges_are_antialiased_except_during_movement(opened, monkeypatch) -> No
     drag(opened, (60, 45), (90, 52))
     assert not opened.view.smooth_edges
     monkeypatch.setattr(windows, "_STILL", 0.0)
-    opened.view.canvas.interactor.InvokeEvent("TimerEvent")
+    opened.plotter.iren.interactor.InvokeEvent("TimerEvent")
     assert opened.view.smooth_edges
 
 
@@ -145,7 +145,7 @@ def tick_after(window: Window, path, content: bytes) -> None:
     before = path.stat().st_mtime_ns
     path.write_bytes(content)
     os.utime(path, ns=(before + 10_000_000, before + 10_000_000))
-    window.view.canvas.interactor.InvokeEvent("TimerEvent")
+    window.plotter.iren.interactor.InvokeEvent("TimerEvent")
 
 
 def test_a_sky_that_changes_on_disk_is_shown(opened, tmp_path, monkeypatch) -> None:
@@ -161,7 +161,7 @@ def test_a_sky_that_changes_on_disk_is_shown(opened, tmp_path, monkeypatch) -> N
     np.testing.assert_array_equal(bare_picture(opened), first)
     assert "was reloaded" in texts_of(opened)
     monkeypatch.setattr(windows, "_MESSAGE_SECONDS", 0.0)
-    opened.view.canvas.interactor.InvokeEvent("TimerEvent")
+    opened.plotter.iren.interactor.InvokeEvent("TimerEvent")
     assert not opened.overlay.message.GetVisibility()
 
 
@@ -177,7 +177,7 @@ def test_the_reference_is_shown_pixel_by_pixel(tmp_path) -> None:
     assert np.abs(bare_picture(window) - encoded(reference, 0.5)).max() <= 1.0
     press(window, "Down", "space")
     np.testing.assert_array_equal(bare_picture(window), object_picture)
-    window.view.canvas.close()
+    window.plotter.close()
     large = open_window(asset, lights, (60, 60), reference=reference)
     press(large, "space")
     shown = bare_picture(large)
@@ -187,12 +187,12 @@ def test_the_reference_is_shown_pixel_by_pixel(tmp_path) -> None:
 
 def test_an_eye_inside_the_object_is_reported_and_keeps_the_colours(opened) -> None:
     before = opened.view.colours.copy()
-    camera = opened.view.canvas.camera
-    camera.SetPosition(0.0, 0.05, 0.1)
+    camera = opened.plotter.camera
+    camera.position = (0.0, 0.05, 0.1)
     opened.render()
     assert "inside the object" in texts_of(opened)
     np.testing.assert_array_equal(opened.view.colours, before)
-    camera.SetPosition(0.0, 0.05, 5.0)
+    camera.position = (0.0, 0.05, 5.0)
     opened.render()
     assert not opened.overlay.message.GetVisibility()
     assert np.abs(opened.view.colours - before).max() > 1e-3
@@ -233,7 +233,7 @@ def drop(window: Window, *paths: Path) -> None:
     names = vtkStringArray()
     for path in paths:
         names.InsertNextValue(str(path))
-    window.view.canvas.interactor.InvokeEvent("DropFilesEvent", names)
+    window.plotter.iren.interactor.InvokeEvent("DropFilesEvent", names)
 
 
 def test_a_dropped_sky_becomes_the_light(opened, tmp_path) -> None:
@@ -259,41 +259,56 @@ def test_an_asset_made_for_one_light_refuses_a_dropped_sky(tmp_path) -> None:
     window = open_window(asset, [])
     drop(window, Path(write_sky(tmp_path / "sky.exr", SKY)))
     assert "made for one light" in texts_of(window)
-    window.view.canvas.close()
+    window.plotter.close()
 
 
 def test_the_status_line_shows_that_kernels_are_loading(opened, monkeypatch) -> None:
     until = threading.Event()
     monkeypatch.setattr(opened.view.preview, "load", until.wait)
     opened.view.preview.load_in_background()
-    opened.view.canvas.interactor.InvokeEvent("TimerEvent")
+    opened.plotter.iren.interactor.InvokeEvent("TimerEvent")
     assert "loading kernels" in texts_of(opened)
     until.set()
     opened.view.preview._loader.join()
-    opened.view.canvas.interactor.InvokeEvent("TimerEvent")
+    opened.plotter.iren.interactor.InvokeEvent("TimerEvent")
     assert "loading kernels" not in texts_of(opened)
 
 
-def test_ctrl_c_closes_the_window_without_an_exception(opened) -> None:
+def test_ctrl_c_closes_the_window_without_an_exception(opened, monkeypatch) -> None:
     ended = []
+    monkeypatch.setattr(opened, "_quit", lambda: ended.append(True))
 
-    class Loop:
+    def show() -> None:
         """An event loop with Ctrl-C between two timer events."""
+        opened.tick()
+        assert not ended
+        signal.raise_signal(signal.SIGINT)
+        opened.tick()
 
-        def Initialize(self) -> None: ...
-
-        def CreateRepeatingTimer(self, milliseconds: int) -> None: ...
-
-        def Start(self) -> None:
-            opened.tick()
-            assert not ended
-            signal.raise_signal(signal.SIGINT)
-            opened.tick()
-
-        def TerminateApp(self) -> None:
-            ended.append(True)
-
-    opened._interactor = Loop()
+    monkeypatch.setattr(opened.plotter, "show", show)
     opened.run()
     assert ended == [True]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_drag_ends_with_the_mouse(opened) -> None:
+    interactor = opened.plotter.iren.interactor
+    mouse(opened, (60, 45), "MouseMoveEvent", "LeftButtonPressEvent")
+    mouse(opened, (70, 45), "MouseMoveEvent")
+    eye = opened.view.eye
+    interactor.InvokeEvent("TimerEvent")
+    np.testing.assert_array_equal(opened.view.eye, eye)
+    mouse(opened, (70, 45), "LeftButtonReleaseEvent")
+
+
+def test_the_mouse_moves_a_slider_even_after_a_pan(opened) -> None:
+    target = np.array(opened.plotter.camera.focal_point)
+    mouse(opened, (60, 45), "LeftButtonPressEvent", shift=True)
+    mouse(opened, (70, 45), "MouseMoveEvent", "LeftButtonReleaseEvent", shift=True)
+    assert np.linalg.norm(opened.plotter.camera.focal_point - target) > 0.01
+    eye = opened.view.eye
+    knob = round(120 * (0.56 + 0.75) / 2), round(90 * 0.07)
+    mouse(opened, knob, "MouseMoveEvent", "LeftButtonPressEvent")
+    mouse(opened, (knob[0] + 5, knob[1]), "MouseMoveEvent", "LeftButtonReleaseEvent")
+    assert 40.0 < opened.view.preview.rotation < 120.0
+    np.testing.assert_array_equal(opened.view.eye, eye)

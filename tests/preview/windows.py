@@ -10,8 +10,8 @@ from formats.asset import Asset
 from formats.image import read_image, write_image
 from formats.image.png import to_srgb
 from prt_bake.geometry import camera
-from prt_bake.preview.canvas import Canvas
 from prt_bake.preview.lights import LightSource
+from prt_bake.preview.plotter import open_plotter
 from prt_bake.preview.state import Preview
 from prt_bake.preview.view import View
 from prt_bake.preview.window import Window
@@ -27,8 +27,9 @@ def open_window(
 ) -> Window:
     preview = Preview(asset, [LightSource(text, asset.up, asset.degree) for text in lights], **chosen)
     start = camera.fit(asset.mesh, *size, eye=eye, up=asset.up)
-    view = View(preview, Canvas(*size, True), start, reference)
+    view = View(preview, open_plotter(*size, True), start, reference)
     window = Window(view, "ball.h5", None if reference is None else "reference.exr")
+    window.plotter.show(auto_close=False)
     window.render()
     return window
 
@@ -43,20 +44,23 @@ def bare_picture(window: Window) -> NDArray[np.float64]:
 
 
 def press(window: Window, *keys: str) -> None:
-    interactor = window.view.canvas.interactor
+    interactor = window.plotter.iren.interactor
     for key in keys:
         interactor.SetKeySym(key)
         for event in ("KeyPressEvent", "CharEvent", "KeyReleaseEvent"):
             interactor.InvokeEvent(event)
 
 
+def mouse(window: Window, place: tuple[int, int], *events: str, shift: bool = False) -> None:
+    """Send mouse events at a pixel, counted from the lower left corner."""
+    for event in events:
+        window.plotter.iren.interactor.SetEventInformation(*place, 0, int(shift), "\0", 0, None)
+        window.plotter.iren.interactor.InvokeEvent(event)
+
+
 def drag(window: Window, start: tuple[int, int], end: tuple[int, int]) -> None:
-    interactor = window.view.canvas.interactor
-    interactor.SetEventInformation(*start, 0, 0, "\0", 0, None)
-    interactor.InvokeEvent("LeftButtonPressEvent")
-    interactor.SetEventInformation(*end, 0, 0, "\0", 0, None)
-    interactor.InvokeEvent("MouseMoveEvent")
-    interactor.InvokeEvent("LeftButtonReleaseEvent")
+    mouse(window, start, "LeftButtonPressEvent")
+    mouse(window, end, "MouseMoveEvent", "LeftButtonReleaseEvent")
 
 
 def slide(slider: object, value: float) -> None:

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+import trimesh
 
 from formats.asset import Asset
 from formats.errors import QueryError
@@ -29,9 +30,9 @@ POINTS = 9
 DARK = np.zeros((9, 3))
 
 
-def glossy(mesh: Mesh, roughness=0.3, eta=1.5, sent=1.0, normals="face") -> Asset:
+def glossy(mesh: Mesh, roughness=0.3, eta=1.5, sent=1.0) -> Asset:
     """An asset of the radiance `sent` in all directions under a white sky."""
-    asset = make_asset(mesh, provenance={"eta": eta, "roughness": roughness, "model": {"normals": normals}})
+    asset = make_asset(mesh, provenance={"eta": eta, "roughness": roughness})
     coefficients = np.zeros_like(asset.coefficients)
     coefficients[:, :, 0] = sent / math.sqrt(4 * math.pi)
     return dataclasses.replace(asset, coefficients=coefficients)
@@ -122,7 +123,7 @@ def test_reflection_agrees_with_unbiased_samples_within_its_error(roughness: flo
     asset, lighting = glossy(mesh, roughness), Lighting((sky,))
     where = visible_points(mesh, 300)
     seen = Visibility(mesh)
-    ours, difference = AssetReflection(asset, lighting, DARK, seen, POINTS).radiance(where)
+    ours, difference = AssetReflection(asset, lighting, DARK, seen, POINTS, normals="face").radiance(where)
     reflector, points = Reflector(mesh, lighting, 1.5, seen), on_surface(mesh, where, roughness)
     rounds = 120
     samples = [pixels(reflector.reflected(points, keys(where), seed)) for seed in range(rounds)]
@@ -141,7 +142,7 @@ def test_a_sun_without_size_is_exact() -> None:
     sun = DirectionalLight(np.array([0.0, 0.6, 0.8]), np.array([3.0, 2.0, 1e5]), 0.0)
     where = visible_points(mesh, 200)
     lighting = Lighting((), (sun,))
-    surface = AssetReflection(glossy(mesh), lighting, DARK, Visibility(mesh), POINTS)
+    surface = AssetReflection(glossy(mesh), lighting, DARK, Visibility(mesh), POINTS, normals="face")
     ours, difference = surface.radiance(where)
     expected = Reflector(mesh, lighting, 1.5).reflected(on_surface(mesh, where, 0.3), keys(where), 0)
     np.testing.assert_allclose(ours, expected, rtol=1e-9)
@@ -153,7 +154,7 @@ def test_a_mirror_reflects_the_exact_sky() -> None:
     mesh = sphere(2)
     lighting = Lighting((patchy(),), (DirectionalLight(np.array([0.0, 1.0, 0.0]), np.full(3, 2.0), 60.0),))
     where = visible_points(mesh, 200)
-    surface = AssetReflection(glossy(mesh, 0.0), lighting, DARK, Visibility(mesh), POINTS)
+    surface = AssetReflection(glossy(mesh, 0.0), lighting, DARK, Visibility(mesh), POINTS, normals="face")
     normals, outgoing = mesh.face_normals[where.faces], where.outgoing
     towards = mirrored(outgoing, normals)
     expected = fresnel((outgoing * normals).sum(axis=1), 1.5)[:, None] * lighting.radiance(towards)
@@ -164,15 +165,13 @@ def test_a_mirror_reflects_the_exact_sky() -> None:
 def test_a_ray_that_hits_the_object_gets_its_radiance_along_the_ray() -> None:
     """A polished ring with view-dependent radiance, compared with `shade` for each hit."""
     mesh = ring()
-    asset = dataclasses.replace(
-        make_asset(mesh, rings=8, sectors=16), provenance={"eta": 1.5, "roughness": 0.0, "model": {}}
-    )
+    asset = dataclasses.replace(make_asset(mesh, rings=8, sectors=16), provenance={"eta": 1.5, "roughness": 0.0})
     asset.coefficients[:] *= np.random.default_rng(3).uniform(0.2, 2.0, asset.coefficients.shape[:2])[:, :, None, None]
     black = Lighting((Sky(np.zeros((2, 4, 3), np.float32), "y", np.eye(3)),))
     seen = Visibility(mesh)
     where = visible_points(mesh, 400).subset(slice(None, None, POINTS))
     faces, barycentric, outgoing = where.faces, where.barycentric, where.outgoing
-    reflected = AssetReflection(asset, black, white_weights(), seen, 1).radiance(where)[0]
+    reflected = AssetReflection(asset, black, white_weights(), seen, 1, normals="face").radiance(where)[0]
     normals = mesh.face_normals[faces]
     towards = mirrored(outgoing, normals)
     corners = mesh.positions[mesh.faces[faces]]
@@ -240,17 +239,29 @@ def test_layers_sum_to_the_picture_and_an_index_of_1_reflects_nothing() -> None:
     assert not reflects(glossy(mesh, eta=1.0))
 
 
-def test_interpolated_normals_reflect_smoothly() -> None:
-    mesh = sphere(2)
-    sky = np.zeros((64, 128, 3), np.float32)
-    sky[:32] = 1.0
-    flat, smooth = (
-        render_picture(
-            glossy(mesh, 0.05, normals=normals, sent=0.0), sky, front(64, 64), reflection=True, background=False
-        )
-        for normals in ("face", "vertex")
-    )
-    assert abs(flat.image - smooth.image).max() > 0.01
+def mirror_picture(mesh: Mesh, normals=None) -> np.ndarray:
+    """The reflection of a sky that brightens towards +x in a mirror."""
+    sky = np.tile(np.linspace(0.0, 1.0, 128, dtype=np.float32)[None, :, None], (64, 1, 3))
+    sky = np.minimum(sky, sky[:, ::-1])
+    options = {"reflection": True, "background": False, "samples": 2}
+    return render_picture(glossy(mesh, 0.0, sent=0.0), sky, front(64, 64), normals=normals, **options).image
+
+
+def test_reflections_are_smooth_by_default_whatever_normals_the_model_was_trained_with() -> None:
+    """In the middle of a coarse ball the reflected gradient has no steps; on its facets it jumps."""
+    steps = {}
+    for kind in (None, "vertex", "face"):
+        row = mirror_picture(sphere(2), kind)[32, 22:42, 0]
+        steps[kind] = np.abs(np.diff(row, 2)).max() / row.mean()
+    assert steps[None] == steps["vertex"] < 0.3 * steps["face"]
+
+
+def test_a_box_and_a_flat_shaded_ball_reflect_by_their_faces() -> None:
+    box = build_mesh(*((made := trimesh.creation.box()).vertices, made.faces))
+    np.testing.assert_allclose(mirror_picture(box), mirror_picture(box, "face"), atol=1e-7)
+    flat = dataclasses.replace(sphere(2), flat_shaded=True)
+    np.testing.assert_array_equal(mirror_picture(flat), mirror_picture(flat, "face"))
+    assert np.abs(mirror_picture(flat) - mirror_picture(flat, "vertex")).max() > 0.01
 
 
 def test_a_surface_of_unknown_or_impossible_roughness_is_refused() -> None:
@@ -293,7 +304,7 @@ def test_roughness_of_a_texture_is_local() -> None:
 @pytest.mark.parametrize("suns", ["split", "window", "plain"])
 def test_rotating_the_light_equals_rotating_object_and_camera_back(suns: SunTreatment) -> None:
     """With a sky, a sun in it, a separate sun, and inter-reflection of the ring."""
-    asset = make_asset(ring(), provenance={"eta": 1.5, "roughness": 0.3, "model": {"normals": "face"}})
+    asset = make_asset(ring(), provenance={"eta": 1.5, "roughness": 0.3})
     sky = with_window(patchy())
     back = environment.rotation(-37.0, "y")
     light = Lighting((sky,), (DirectionalLight(np.array([0.6, 0.48, 0.64]), np.ones(3), 0.5),))

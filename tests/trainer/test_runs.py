@@ -271,7 +271,7 @@ def test_the_model_is_saved_before_it_is_measured(scene, tmp_path, monkeypatch):
     def killed(*_):
         raise Killed
 
-    monkeypatch.setattr(PathTracedData, "metadata", killed)
+    monkeypatch.setattr(PathTracedData, "errors", killed)
     with pytest.raises(Killed):
         train_small(scene, 9, output=output)
     assert torch.load(state_path(output), weights_only=True)["learner"]["step"] == 9

@@ -171,7 +171,7 @@ def out_of_reach(error: float, size: int, left: float) -> QueryError:
     """The error to raise if `size` directions leave more than the requested error."""
     return QueryError(
         f"error: a relative RMSE of {error:g} is out of reach; up to {size:,} directions a bin leave {left:.3g}; "
-        f"request a larger error"
+        f"request a larger error, or a fixed number of samples"
     )
 
 

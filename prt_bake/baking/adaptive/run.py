@@ -16,6 +16,7 @@ from prt_bake.baking.adaptive.adaptive_job import MANY, AdaptiveJob, vertices_at
 from prt_bake.baking.adaptive.checkpoints import EVALUATED, PassCheckpoints
 from prt_bake.baking.adaptive.noise_pilot import first_refinement, refuse_out_of_reach
 from prt_bake.baking.adaptive.pass_asset import write_asset
+from prt_bake.baking.adaptive.pass_progress import PassProgress
 from prt_bake.baking.adaptive.pass_settings import PassSettings, uncalibrated
 from prt_bake.baking.adaptive.passes import Pass, one_pass, tighter
 from prt_bake.baking.adaptive.tolerances import settings_for_error
@@ -78,9 +79,9 @@ class Run:
     def report_pilot(self) -> None:
         """Reports that a pilot runs after the first pass, which takes a while."""
         if self._last_status is not None:
-            _seconds, evaluations, error = self._last_status
+            last, (_seconds, evaluations, error) = self._last_status, self._last_status
             row = self.work.seconds, evaluations, error
-            self.report(len(self.job.vertices), BakeStatus(row, self._last_status.left, "pilot after pass 1"))
+            self.report(len(self.job.vertices), BakeStatus(row, last.left, "pilot after pass 1", last.figures))
 
     @property
     def left(self) -> float:
@@ -174,11 +175,10 @@ def _pass(run: Run, settings: PassSettings) -> Pass | None:
     run.number, run.passes = run.number + 1, run.passes + 1
     checkpoints.start(settings, run.job.block_vertices)
     forecast, stage = _forecast(run, settings, checkpoints), f"pass {run.passes}"
+    progress = PassProgress(forecast, settings.correction, vertices, lambda error: _time_after(run, error))
 
     def report(done: int, tally: Tally) -> None:
-        estimate = tally.relative(settings.correction)[0] if done == vertices else settings.error
-        row = run.work.seconds, float(run.work.evaluations + tally.new_evaluations), estimate
-        run.report(done, BakeStatus(row, forecast.left(done), stage))
+        run.report(done, progress.status(done, tally, run.work, stage))
 
     done = _earlier_result(settings, checkpoints)
     if done is None:
@@ -216,13 +216,14 @@ def _forecast(run: Run, settings: PassSettings, checkpoints: PassCheckpoints) ->
     for first in finished + checkpoints.finished_evaluated():
         work[round(ahead * first) : round(ahead * min(first + step, vertices))] = 0.0
     predicted = settings.seconds * vertices / max(1, run.work.workers.count) if settings.seconds else None
+    return Forecast(work, predicted, _time_after(run, settings.error), run.deadline)
+
+
+def _time_after(run: Run, error: float) -> float:
+    """Time of the passes that follow one with this error, over the time of that one."""
     if run.error is None:
-        after = math.inf
-    elif settings.error <= FINER * run.error:
-        after = 0.0
-    else:
-        after = (settings.error / run.error) ** error_exponent(run.rows)
-    return Forecast(work, predicted, after, run.deadline)
+        return math.inf
+    return 0.0 if error <= FINER * run.error else (error / run.error) ** error_exponent(run.rows)
 
 
 def _earlier_result(settings: PassSettings, checkpoints: PassCheckpoints) -> Pass | None:

@@ -31,7 +31,7 @@ def refuse_unusable(
     degree: int,
     rings: int,
     sectors: int,
-    samples: int,
+    samples: int | None,
     error: float | None,
     minutes: float | None,
     seed: int,
@@ -43,10 +43,15 @@ def refuse_unusable(
     """Raises QueryError for an argument out of its domain and for a mesh without vertices."""
     if not len(mesh.positions):
         raise QueryError("mesh: expected at least one vertex to bake at, found none; give a mesh that has vertices")
+    if len(bad := np.flatnonzero(~np.isfinite(mesh.positions).all(axis=1))):
+        raise QueryError(
+            f"mesh: {len(bad)} of {len(mesh.positions)} vertices are not finite, the first is number {bad[0]}"
+        )
     _require_integer("degree", degree, 0, HIGHEST_DEGREE)
     _require_integer("rings", rings, 1, None)
     _require_integer("sectors", sectors, 1, None)
-    _require_integer("samples", samples, 1, None)
+    if samples is not None:
+        _require_integer("samples", samples, 1, None)
     _require_integer("seed", seed, 0, 2**63 - 1)
     _require_integer("workers", workers, 1, MOST_WORKERS)
     _require_integer("lobes", lobes, 0, MOST_LOBES)

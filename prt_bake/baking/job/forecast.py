@@ -3,7 +3,7 @@
 import math
 import time
 from dataclasses import dataclass, field
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,21 +15,47 @@ COARSE_EXPONENT = 0.9
 EXPONENT_RANGE = 0.7, 3.0
 
 
+class ErrorFigures(NamedTuple):
+    """Estimated relative RMSE so far."""
+
+    total: float
+    """Of the object."""
+    percentile_95: float
+    """95th percentile over vertices."""
+
+    @property
+    def worst(self) -> float:
+        """The figure that decides whether a requested error is reached."""
+        return max(self)
+
+    def __str__(self) -> str:
+        name = "object" if self.total > self.percentile_95 else "95 % of vertices"
+        return f"{name} {100.0 * self.worst:.2g} %"
+
+
 class BakeStatus(tuple[float, float, float]):
-    """A row (seconds, evaluations, estimated relative error) of a bake in progress.
+    """A row (seconds, evaluations, estimated relative error) of a bake in progress; the error is nan until measured.
 
     Attributes:
         left: predicted seconds until the target; None without a prediction.
         stage: which part of the bake runs, empty for bakes of one part.
+        figures: the errors so far; None until they are measured.
     """
 
     left: float | None
     stage: str
+    figures: ErrorFigures | None
 
-    def __new__(cls, row: tuple[float, float, float], left: float | None, stage: str = "") -> Self:
+    def __new__(
+        cls,
+        row: tuple[float, float, float],
+        left: float | None,
+        stage: str = "",
+        figures: ErrorFigures | None = None,
+    ) -> Self:
         """The row, with attributes."""
         status = super().__new__(cls, row)
-        status.left, status.stage = left, stage
+        status.left, status.stage, status.figures = left, stage, figures
         return status
 
 

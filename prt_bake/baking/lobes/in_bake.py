@@ -8,7 +8,7 @@ from typing import Any
 from bakers.transport import prepared, transport_kind, up_to
 from formats.asset import Asset, AssetHead, read_asset
 from formats.asset.lobes import LOBE_BYTES, add_lobes_to_file
-from prt_bake.baking.job.forecast import BakeStatus
+from prt_bake.baking.job.forecast import BakeStatus, ErrorFigures
 from prt_bake.baking.job.pruning_record import Pruning
 from prt_bake.baking.job.work import Progress, Work
 from prt_bake.baking.lobes.pilot import LobePlan, none_gained, plan_lobes
@@ -41,13 +41,15 @@ class LobesOfBake:
         """The finished asset with its lobes; None if the search was stopped."""
         if self._search is None or self._plan is None:
             return asset
-        row = (work.seconds, float(work.evaluations), asset.provenance["estimated_relative_rmse"]["total"] or 0.0)
-        vertices = work.pruning.vertices
+        rmse = asset.provenance["estimated_relative_rmse"]
+        figures = ErrorFigures(rmse["total"] or 0.0, rmse["percentile_95_over_vertices"] or 0.0)
+        evaluations, vertices = float(work.evaluations), work.pruning.vertices
 
         def report(done: int) -> None:
             if work.progress is not None:
                 left = self.seconds * (1.0 - done / len(vertices))
-                work.progress(done, len(vertices), BakeStatus((work.seconds, *row[1:]), left, STAGE))
+                row = (work.seconds, evaluations, figures.total)
+                work.progress(done, len(vertices), BakeStatus(row, left, STAGE, figures))
 
         lobes = find_lobes(self._search, self._plan, vertices, work.workers, store, lambda: work.stopped, report)
         if lobes is None:
@@ -116,6 +118,6 @@ def counting_lobes(progress: Progress | None, seconds: float) -> Progress | None
 
     def later(done: int, total: int, status: BakeStatus) -> None:
         left = status.left if status.left is None or status.stage == STAGE else status.left + seconds
-        report(done, total, BakeStatus((status[0], status[1], status[2]), left, status.stage))
+        report(done, total, BakeStatus((status[0], status[1], status[2]), left, status.stage, status.figures))
 
     return later

@@ -8,7 +8,7 @@ import typer
 from formats.extras import EVALUATE, require
 from prt_bake.cli.shared.kinds import SOURCE, refuse_other_kinds
 from prt_bake.cli.shared.mesh_name import naming_mesh
-from prt_bake.cli.shared.options import Eye, Seed
+from prt_bake.cli.shared.options import Eye, Seed, View
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
 
@@ -29,6 +29,7 @@ def bake(
         Path | None,
         typer.Option(metavar="SKY", help="Sky of a picture, whose error budget is added.", show_default=False),
     ] = None,
+    side: View = None,
     eye: Eye = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the report.")] = Path("bake-report"),
     rings: Annotated[int, typer.Option(min=1, max=1024, help="View bins along the cosine to the normal.")] = 16,
@@ -47,6 +48,8 @@ def bake(
     Writes bake.md, bake.json and bake.png: uniform Monte Carlo, Sobol, a lattice and adaptive bakes, with fitted slopes
     and efficiencies. With --scene adds path-traced bakes; with --light adds the error budget of a picture.
     """
+    if side is not None and eye is not None:
+        raise typer.BadParameter("--view: --eye places the camera; omit one of them")
     from prt_bake.baking.report.report import report_bake, report_files
 
     inputs = {"SOURCE": source, "MESH": mesh, "--scene": scene, "--light": light}
@@ -69,7 +72,7 @@ def bake(
         out,
         scene=given,
         sky=None if light is None else read_environment(light),
-        view=None if light is None else camera.fit(surface, 512, 512, eye=eye, up=up),
+        view=None if light is None else camera.fit(surface, 512, 512, eye=eye, up=up, view=side),
         up=up,
         degree=degree,
         rings=rings,

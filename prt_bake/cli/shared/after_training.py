@@ -1,40 +1,66 @@
 """Steps after a training: the report and the importance module. A failure of either is printed; the model is kept."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from formats.errors import PrtbakeError
-from prt_bake.cli.shared.progress import reporting, say, stopping
+from prt_bake.cli.shared.progress import Report, reporting, say
 
 if TYPE_CHECKING:
     from formats.scene import Scene
     from prt_bake.network.bssrdf import NeuralBSSRDF
+    from prt_bake.trainer.budget import Budget
 
 _SHARE_OF_THE_TRAINING = 0.1
 _LEAST_SECONDS = 2.0
 _MOST_SECONDS = {"report": 40.0, "importance": 60.0}
 
 
-def report(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int) -> None:
-    """Write MODEL.report.json and MODEL.report.html and print the criteria; prints errors instead of raising."""
+def report(
+    network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int, budget: "Budget | None" = None, module: bool = True
+) -> bool:
+    """Write MODEL.report.json and MODEL.report.html, print the criteria and the verdict, and return whether it is done.
+
+    budget: the wall time of the training with what follows; `module`: whether the importance module still follows.
+    Prints errors instead of raising; Ctrl-C is raised after a message.
+    """
     from prt_bake.trainer.report.report import report_training
     from prt_bake.trainer.report.summary import criterion_line
 
-    say("path tracing fresh queries for the report")
-    try:
-        measured, page = report_training(network, scene, model, seconds=_seconds(network, "report"), seed=seed)
-    except PrtbakeError as error:
-        say(f"no report: {error}; to try again, run 'prtbake report training {model} {scene.path}'")
-        return
-    except KeyboardInterrupt:
-        say(f"no report: stopped; to write it later, run 'prtbake report training {model} {scene.path}'")
-        return
+    again = f"run 'prtbake report training {model} {scene.path}'"
+    within = None if budget is None else budget.report(module)
+    if within == 0.0:
+        say(f"no report: no time is left for it; to write it later, {again}")
+        return False
+    with reporting("report") as show:
+
+        def follow(share: float) -> None:
+            show_part(show, "comparing with the path tracer", share, budget)
+
+        try:
+            measured, page = report_training(
+                network,
+                scene,
+                model,
+                seconds=_seconds(network, "report"),
+                within=within,
+                seed=seed,
+                follow=follow,
+            )
+        except PrtbakeError as error:
+            say(f"no report: {error}; to try again, {again}")
+            return False
+        except KeyboardInterrupt:
+            say(f"no report: stopped; to write it later, {again}")
+            raise
     for row in measured["criteria"]:
         print(criterion_line(row))
     print(f"{page}: {measured['summary'][0]}")
+    return True
 
 
-def importance(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int) -> None:
+def importance(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int, budget: "Budget | None" = None) -> None:
     """Fit and write MODEL.importance.pt; prints errors instead of raising. Ctrl-C keeps the module fitted so far."""
     from dataclasses import replace
 
@@ -45,35 +71,54 @@ def importance(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int) 
     if own_lobes(network) is not None:
         say("no importance module: `prtbake render` samples the lobes of the network")
         return
-    with reporting("importance") as show, stopping() as stop:
-
-        def report_fit(share: float, text: str) -> None:
-            show(share, text)
-            if stop():
-                raise KeyboardInterrupt
-
+    again = f"to fit it later, run 'prtbake importance {model} {scene.mesh_path}'"
+    seconds = _seconds(network, "importance") if budget is None else budget.importance()
+    if seconds == 0.0:
+        say(f"no importance module: no time is left for it; {again}")
+        return
+    with reporting("importance") as show:
         try:
             module = fit_importance(
                 network.cpu(),
                 scene.mesh,
-                seconds=_seconds(network, "importance"),
+                seconds=seconds,
                 seed=seed,
                 settings=replace(IMPORTANCE_PRESETS["measured"], seed=seed),
-                progress=report_fit,
+                progress=lambda share, text: show_part(show, text, share, budget),
             )
             save_importance(module, model)
         except PrtbakeError as error:
             say(f"no importance module: {error}")
             return
         except KeyboardInterrupt:
-            say(f"no importance module: stopped; to fit it later, run 'prtbake importance {model} {scene.mesh_path}'")
-            return
+            say(f"no importance module: stopped; {again}")
+            raise
     fit = module.metadata["fit"]
     print(
         f"{importance_path(model)}: KL divergence {fit['module']['divergence']:.3f} "
         f"(uniform {fit['uniform']['divergence']:.3f}), sample variance under a uniform sky "
         f"{fit['module']['variance']:.3f} (uniform {fit['uniform']['variance']:.3f})"
     )
+
+
+def verdict_of(network: "NeuralBSSRDF") -> str:
+    """The verdict on the final errors of a training."""
+    from prt_bake.mathematics.noise_free import Interval
+    from prt_bake.trainer.report.verdict import verdict
+
+    training = network.metadata["training"]
+    found = training["relative_rmse"]
+    value, ends = found["coefficients"], found["coefficients_interval"]
+    error = Interval(math.nan if value is None else value, *(ends or (math.nan, math.nan)))
+    return verdict(error, training["seconds"] / 60.0, training["walks"])
+
+
+def show_part(show: Report, text: str, share: float, budget: "Budget | None") -> None:
+    """Show a part of a training: of the wall time if the run has one, else its own share."""
+    if budget is None:
+        show(share, text)
+    else:
+        show(budget.share, text, budget.left)
 
 
 def _seconds(network: "NeuralBSSRDF", what: str) -> float:

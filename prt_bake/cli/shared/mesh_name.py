@@ -21,7 +21,8 @@ def naming_mesh(command: Callable[_Arguments, None]) -> Callable[_Arguments, Non
         path = kwargs["mesh"]
 
         def with_file(sentence: str) -> str:
-            return f"{path}: {sentence.removeprefix(_IN_MEMORY)}" if sentence.startswith(_IN_MEMORY) else sentence
+            named = path is not None and sentence.startswith(_IN_MEMORY)
+            return f"{path}: {sentence.removeprefix(_IN_MEMORY)}" if named else sentence
 
         with warnings.catch_warnings():
             show = warnings.showwarning

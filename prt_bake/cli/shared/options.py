@@ -11,8 +11,10 @@ import typer
 from formats.errors import FormatError
 
 IMAGE_SUFFIXES = (".png", ".exr", ".hdr")
-ANIMATION_SUFFIXES = (".png", ".webp", ".gif")
+ANIMATION_SUFFIXES = (".png", ".webp", ".gif", ".mp4")
 USUAL_FOV = 30.0
+FLAT_SHADED = "its mesh file is flat shaded, so that reflections show its faces; --normals vertex smooths them"
+"""The remark of commands that draw reflections."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,16 @@ PictureSize = Annotated[
 ]
 Eye = Annotated[
     Point | None,
-    typer.Option(parser=_read_point, metavar="x,y,z", help="Camera position; by default frames the object."),
+    typer.Option(parser=_read_point, metavar="x,y,z", help="Camera position, in place of --view.", show_default=False),
+]
+View = Annotated[
+    Literal["front", "back", "left", "right", "three-quarter", "three-quarter-back"] | None,
+    typer.Option(
+        "--view",
+        help="Side that the camera stands on: front is +z (with z up -y), right is +x; by default three-quarter, from "
+        "the front, the right and above.",
+        show_default=False,
+    ),
 ]
 LookAt = Annotated[
     Point | None,
@@ -154,6 +165,15 @@ OnlyEye = Annotated[
 Exposure = Annotated[
     float,
     typer.Option(min=-64, max=64, metavar="EV", help="Multiply by 2^EV before the sRGB curve (PNG only)."),
+]
+ReflectionNormals = Annotated[
+    Literal["vertex", "face"] | None,
+    typer.Option(
+        "--normals",
+        help="Normals of the reflection: vertex, interpolated except across sharp edges, or face; by default vertex, "
+        "unless the mesh file is flat shaded.",
+        show_default=False,
+    ),
 ]
 Mend = Annotated[
     bool,

@@ -16,6 +16,9 @@ def plan_lines(plan: "BakePlan") -> Iterator[str]:
     yield f"{plan.vertices:,} vertices × {plan.bins:,} view bins, {plan.coefficients} SH coefficients"
     yield f"{plan.evaluations:,} evaluations, {plan.evaluations / max(1, bins):.1f} per bin"
     yield f"{plan.raw_bytes / 1e6:,.1f} MB of coefficients before compression"
+    if plan.effort:
+        expected = "" if plan.error is None else f", expected error {plan.error:.2%}"
+        yield f"bakes {plan.effort}" + ("" if plan.effort.startswith("to ") else expected)
     if plan.seconds is not None:
         between = "" if plan.seconds_between is None else f", {' to '.join(map(in_words, plan.seconds_between))}"
         yield f"about {in_words(plan.seconds)}{between}"

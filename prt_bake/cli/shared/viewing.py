@@ -11,6 +11,7 @@ def camera_for(
     mesh: Any,
     size: Size,
     up: str,
+    view: Any,
     eye: Point | None,
     look_at: Point | None,
     fov: float,
@@ -20,8 +21,10 @@ def camera_for(
 ) -> Any:
     """Return the camera of these options; an `extent` makes it orthographic. `turns` is as in `camera.fit`.
 
-    Raises typer.BadParameter for an orthographic camera with a field of view.
+    Raises typer.BadParameter for an orthographic camera with a field of view, and for a view beside an eye.
     """
+    if view is not None and eye is not None:
+        raise typer.BadParameter("--view: --eye places the camera; omit one of them")
     parallel = orthographic or extent is not None
     if parallel and fov != USUAL_FOV:
         raise typer.BadParameter(
@@ -37,6 +40,7 @@ def camera_for(
         eye=eye,
         up=up,
         fov=fov,
+        view=view,
         target=look_at,
         orthographic=parallel,
         extent=extent,

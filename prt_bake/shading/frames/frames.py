@@ -9,8 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
 from formats.asset.compact_record import CompactCoefficients
-from formats.errors import QueryError, refuse_path
+from formats.errors import QueryError
 from formats.mesh import Mesh
+from prt_bake.face.assets import asset as require_asset
+from prt_bake.face.assets import light_of_vertices
+from prt_bake.face.assets import point as require_point
 from prt_bake.jit.threads import using_threads
 from prt_bake.jit.vectors import laid_out
 from prt_bake.lights.environment import rotate_light, rotation
@@ -51,7 +54,7 @@ class Frames:
 
     def __init__(self, asset: Asset) -> None:
         """Read an asset's coefficients into memory. Raises QueryError if no vertex is valid."""
-        refuse_path("asset", asset, "prt.read_asset")
+        require_asset("asset", asset)
         if not asset.valid.any():
             raise QueryError(
                 "asset: no vertex was baked, there is nothing to draw; bake it again (--resume finishes a partial bake)"
@@ -85,6 +88,9 @@ class Frames:
         if asset.quantity == "radiance":
             self.light(None)
 
+    def __repr__(self) -> str:
+        return f"Frames({len(self._valid)} vertices, {self._terms} coefficients, {len(self._asset.mesh.faces)} faces)"
+
     def light(self, light: AssetLight | ArrayLike | None) -> None:
         """Set the light of the next frames.
 
@@ -93,6 +99,7 @@ class Frames:
 
         Undoes `fold`. Raises QueryError for another shape, and for numbers that float32 cannot represent.
         """
+        light = light_of_vertices("light", light)
         prepared = light if isinstance(light, AssetLight) else AssetLight(light, whole=light)
         coefficients = light_coefficients(self._asset, prepared.whole)
         if np.abs(coefficients).max() > np.finfo(np.float32).max:
@@ -187,7 +194,7 @@ class Frames:
         return self._radiance
 
     def _set_view(self, eye: ArrayLike, visible: NDArray[np.bool_] | None) -> None:
-        point = np.asarray(eye, np.float64)
+        point = np.asarray(require_point("eye", eye), np.float64)
         if point.shape != (3,) or not (np.abs(point) < _FARTHEST).all():
             raise QueryError(f"eye: expected a point of three finite numbers, found {np.asarray(eye).tolist()}")
         np.subtract(point, self._centre, out=self._eye)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from formats.scene import Scene
 from prt_bake.mathematics.noise_free import Replicates, Sums
 from prt_bake.tracer.prepared import PreparedScene, is_unrefracted, smooth_part
+from prt_bake.trainer.references import Follow, Traced, silent
 from prt_bake.trainer.report import breakdown, seams
 from prt_bake.trainer.report.error_figures import (
     by_vertex,
@@ -47,6 +48,7 @@ def assess(
     seconds: float = 40.0,
     vertices: int = VERTICES,
     tracer: Tracer | None = None,
+    follow: Follow = silent,
 ) -> dict[str, Any]:
     """Compare a network with the path tracer, and return the report's content as plain values.
 
@@ -56,9 +58,10 @@ def assess(
         queries, vertices: fresh queries over the surface, and vertices of the mesh that are evaluated from 8 sides.
         walks: initial walks per query (four times as many for coefficients). They are doubled until the noise is a
             third of the measured error.
-        seconds: most seconds of path tracing.
+        seconds: most seconds for the references and the predictions; fewer queries and vertices if they are too few.
         history: rows (seconds, walks, validation error) of the training.
         tracer: replaces the path tracer.
+        follow: receives the finished share.
 
     Only coefficients are assessed behind a smooth interface, where Ŝ has no values.
     """
@@ -78,6 +81,7 @@ def assess(
         seed=seed,
         seconds=seconds,
         vertices=vertices,
+        follow=follow,
     )
     report: dict[str, Any] = {
         "format": "prtbake training report",
@@ -126,22 +130,24 @@ def _model(network: Any, scene: Scene, training: dict[str, Any]) -> dict[str, An
 
 
 def _reference(evaluation: Evaluation, seed: int) -> dict[str, Any]:
-    queries, vertices = len(evaluation.normals), len(evaluation.views.positions)
+    vertices = len(evaluation.views.positions)
     report: dict[str, Any] = {
         "seed": seed,
-        "queries": queries,
+        "queries": len(evaluation.normals),
         "directions": evaluation.queries.incident.shape[1],
         "vertices": vertices,
         "views": VIEWS,
     }
     parts = (
-        ("transport", evaluation.transport, queries),
-        ("coefficients", evaluation.coefficients, queries),
-        ("coefficients at vertices", evaluation.at_views, vertices * VIEWS),
+        ("transport", evaluation.transport, 1),
+        ("coefficients", evaluation.coefficients, 1),
+        ("coefficients at vertices", evaluation.at_views, VIEWS),
     )
-    for name, part, count in parts:
+    for name, part, views in parts:
         if part is not None:
+            count = len(part) * views
             report[name] = {
+                "queries": count,
                 "walks": part.walks,
                 "walks_per_second": part.walks * count / max(part.seconds, 1e-9),
                 "seconds": part.seconds,
@@ -156,10 +162,15 @@ def _single_values(evaluation: Evaluation) -> Sums | None:
         return None
     mean, variance = evaluation.transport.estimates.mean, evaluation.transport.estimates.variance
     return Sums(
-        error=((evaluation.predicted_transport - mean) ** 2 - variance).sum(axis=2),
+        error=((_predicted(evaluation.transport) - mean) ** 2 - variance).sum(axis=2),
         value=(mean**2 - variance).sum(axis=2),
         noise=variance.sum(axis=2),
     )
+
+
+def _predicted(traced: Traced) -> Array:
+    assert traced.predicted is not None
+    return traced.predicted
 
 
 def _views_as_values(evaluation: Evaluation) -> Sums:
@@ -215,7 +226,7 @@ def _predicted_measured(evaluation: Evaluation) -> dict[str, Any]:
         }
     }
     if evaluation.transport is not None:
-        plots["transport"] = _histogram(evaluation.transport.estimates, evaluation.predicted_transport)
+        plots["transport"] = _histogram(evaluation.transport.estimates, _predicted(evaluation.transport))
     return plots
 
 
@@ -240,7 +251,7 @@ def _worst(evaluation: Evaluation, tracer: Tracer, walks: int, seed: int) -> dic
             incident = queries.incident[n, d][:, None]
             return tracer.transport(positions[n], queries.outgoing[n], incident, paths, seed + 7001 + batch)[:, 0]
 
-        rows = breakdown.worst(evaluation.predicted_transport, evaluation.transport.estimates, again)
+        rows = breakdown.worst(_predicted(evaluation.transport), evaluation.transport.estimates, again)
     else:
         white = np.sqrt(4.0 * np.pi)
         estimates = evaluation.coefficients.estimates
@@ -250,7 +261,7 @@ def _worst(evaluation: Evaluation, tracer: Tracer, walks: int, seed: int) -> dic
             coefficients = tracer.coefficients(positions[n], queries.outgoing[n], 4 * paths, seed + 7001 + batch)
             return np.asarray(white * coefficients[:, 0])
 
-        rows = breakdown.worst(white * evaluation.predicted_coefficients[:, :1], first, again)
+        rows = breakdown.worst(white * _predicted(evaluation.coefficients)[:, :1], first, again)
     for row in rows:
         n, d = row.pop("query"), row.pop("direction")
         row["position"] = _short(positions[n])

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prt_bake.mathematics.noise_free import Replicates, Sums, relative_rmse
-from prt_bake.trainer.report.reference import FIRST_BATCHES
+from prt_bake.trainer.references import FIRST_BATCHES
 
 Array = NDArray[np.float64]
 

@@ -40,7 +40,7 @@ def transport_error(evaluation: Evaluation, seed: int) -> dict[str, Any] | None:
     """The error of Ŝ, None if Ŝ has no values."""
     if evaluation.transport is None:
         return None
-    return split(evaluation.transport.compare(evaluation.predicted_transport), seed)
+    return split(evaluation.transport.errors(), seed)
 
 
 def coefficient_error(evaluation: Evaluation, seed: int) -> dict[str, Any]:
@@ -49,7 +49,7 @@ def coefficient_error(evaluation: Evaluation, seed: int) -> dict[str, Any]:
     shape = evaluation.predicted_at_views.shape[:2]
     percentile, uncorrected = percentile_over(parts.error.reshape(shape), parts.value.reshape(shape), seed)
     return {
-        "surface": split(evaluation.coefficients.compare(evaluation.predicted_coefficients), seed),
+        "surface": split(evaluation.coefficients.errors(), seed),
         "vertices": split(by_vertex(evaluation), seed),
         "percentile_95": percentile.as_json(),
         "percentile_95_uncorrected": uncorrected,
@@ -70,7 +70,7 @@ def _flattened(estimates: Replicates) -> Replicates:
 
 def by_vertex(evaluation: Evaluation) -> Sums:
     """Sums of squared errors of a_lm for every vertex [P], over its views."""
-    return evaluation.at_views.compare(evaluation.predicted_at_views)
+    return evaluation.at_views.errors()
 
 
 def white_sky(evaluation: Evaluation, seed: int) -> dict[str, Any]:
@@ -104,10 +104,10 @@ def prediction(evaluation: Evaluation, network: Any, training: dict[str, Any], s
 
     v is that of Ŝ, or of a_lm if Ŝ has no values.
     """
-    measured, predicted, quantity = evaluation.transport, evaluation.predicted_transport, "transport"
+    measured, quantity = evaluation.transport, "transport"
     if measured is None:
-        measured, predicted, quantity = evaluation.coefficients, evaluation.predicted_coefficients, "coefficients"
-    clusters = measured.compare(predicted)
+        measured, quantity = evaluation.coefficients, "coefficients"
+    clusters = measured.errors()
     v = ratio(measured.walk_variance, clusters.value, seed)
     weights, walked = weights_of(network), float(training.get("walks", 0))
     expected = [float(np.sqrt(weights * max(0.0, x) / walked)) if walked else np.nan for x in vars(v).values()]

@@ -1,5 +1,6 @@
 """The queries that assess a network, its predictions there, and the path-traced references."""
 
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,8 @@ from bakers.transport import up_to
 from prt_bake.mathematics import directions, sh
 from prt_bake.mathematics.random import uniforms
 from prt_bake.tracer.prepared import PreparedScene
-from prt_bake.trainer.report.reference import FIRST_BATCHES, Reference, Tracer, refine_reference
+from prt_bake.trainer.references import FIRST_BATCHES, Estimate, Follow, Predict, Traced, silent, trace_reference
+from prt_bake.trainer.report.reference import Tracer
 from prt_bake.trainer.samples.queries import Queries, QuerySource
 
 Array = NDArray[np.float64]
@@ -43,13 +45,17 @@ class VertexViews:
         """Positions and outgoing [P·B,3]."""
         return np.repeat(self.positions, self.outgoing.shape[1], axis=0), self.outgoing.reshape(-1, 3)
 
+    def select(self, rows: slice) -> "VertexViews":
+        """Some of the vertices."""
+        return VertexViews(self.indices[rows], self.positions[rows], self.normals[rows], self.outgoing[rows])
+
 
 def vertex_views(prepared: PreparedScene, vertices: int, views: int, seed: int) -> VertexViews:
     """Draw `vertices` vertices of the mesh (all if it has fewer) and `views` views of each."""
     mesh = prepared.surface.mesh
     used = np.unique(mesh.faces)
     order = np.argsort(uniforms((_VERTEX_STREAM, seed, used.astype(np.int64)), 1)[:, 0])
-    chosen = np.sort(used[order[:vertices]]).astype(np.int64)
+    chosen = used[order[:vertices]].astype(np.int64)
     positions, normals = (np.asarray(rows, np.float64)[chosen] for rows in (mesh.positions, mesh.normals))
     normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     outgoing = above(directions.uniform(len(chosen) * views, seed + _VIEW_STREAM), np.repeat(normals, views, axis=0))
@@ -65,37 +71,52 @@ def above(rows: Array, normals: Array) -> Array:
 
 def evaluated_coefficients(network: Any, positions: Array, outgoing: Array, seed: int) -> Array:
     """a_lm [N,B,9,3] of a network at positions [N,3] for outgoing [N,B,3], by least squares over a lattice."""
-    rotations = directions.random_rotations(_ROTATIONS, seed + _ROTATION_STREAM)
-    incident = directions.fibonacci(_LATTICE) @ rotations.transpose(0, 2, 1)
-    network = up_to(network, DEGREE)
-    fits = np.linalg.pinv(sh.evaluate(incident, DEGREE))
-    count, views = outgoing.shape[:2]
-    rotation = np.arange(count * views).reshape(count, views) % _ROTATIONS
-    if hasattr(network, "evaluate_block"):
-        values = network.evaluate_block(incident, rotation, positions, outgoing)
-    else:
-        rows = np.repeat(positions, views, axis=0), outgoing.reshape(-1, 3)
-        values = network.evaluate(incident[rotation.ravel()], *rows)
-    values = np.asarray(values, np.float64).reshape(count, views, _LATTICE, 3)
-    return np.asarray(np.einsum("nbkd,nbdc->nbkc", fits[rotation], values))
+    return _Coefficients(network, seed)(positions, outgoing)
+
+
+class _Coefficients:
+    """The coefficients of a network, which is prepared once."""
+
+    def __init__(self, network: Any, seed: int) -> None:
+        rotations = directions.random_rotations(_ROTATIONS, seed + _ROTATION_STREAM)
+        self._incident = directions.fibonacci(_LATTICE) @ rotations.transpose(0, 2, 1)
+        self._fits = np.linalg.pinv(sh.evaluate(self._incident, DEGREE))
+        network = up_to(network, DEGREE)
+        self._network = network.prepared() if hasattr(network, "prepared") else network
+
+    def __call__(self, positions: Array, outgoing: Array) -> Array:
+        count, views = outgoing.shape[:2]
+        rotation = np.arange(count * views).reshape(count, views) % _ROTATIONS
+        if hasattr(self._network, "evaluate_block"):
+            values = self._network.evaluate_block(self._incident, rotation, positions, outgoing)
+        else:
+            rows = np.repeat(positions, views, axis=0), outgoing.reshape(-1, 3)
+            values = self._network.evaluate(self._incident[rotation.ravel()], *rows)
+        values = np.asarray(values, np.float64).reshape(count, views, _LATTICE, 3)
+        return np.asarray(np.einsum("nbkd,nbdc->nbkc", self._fits[rotation], values))
 
 
 @dataclass(frozen=True)
 class Evaluation:
     """Predictions of a network and references for the same queries, and for the same vertices and views.
 
-    `transport` is None behind a smooth interface, where Ŝ has no values.
+    Each reference covers as many of the first queries or vertices as its time allowed. `queries` and `normals` are
+    those of `transport`, or those of `coefficients` behind a smooth interface: Ŝ has no values there, and `transport`
+    is None.
     """
 
     queries: Queries
     normals: Array
-    predicted_transport: Array
-    transport: Reference | None
-    predicted_coefficients: Array
-    coefficients: Reference
+    transport: Traced | None
+    coefficients: Traced
     views: VertexViews
-    predicted_at_views: Array
-    at_views: Reference
+    at_views: Traced
+
+    @property
+    def predicted_at_views(self) -> Array:
+        """The network's a_lm [P,B,9,3] of every vertex and view."""
+        assert self.at_views.predicted is not None
+        return self.at_views.predicted
 
 
 def evaluate(
@@ -110,40 +131,71 @@ def evaluate(
     seed: int,
     seconds: float,
     vertices: int,
+    follow: Follow = silent,
 ) -> Evaluation:
     """Evaluate `network` and `tracer` at `count` queries of `directions` directions, and at `vertices` from 8 sides.
 
-    The tracer begins with `walks` walks per query and continues for at most `seconds`.
+    The tracer begins with `walks` walks per query and continues for at most `seconds`, in which fewer queries and
+    vertices may be evaluated.
     """
     drawn = QuerySource(prepared, directions, seed).draw(0, count)
-    values = np.asarray(network.evaluate(drawn.incident, drawn.positions, drawn.outgoing), np.float64)
-    coefficients = evaluated_coefficients(network, drawn.positions, drawn.outgoing[:, None], seed)[:, 0]
     views = vertex_views(prepared, vertices, VIEWS, seed)
-    view_coefficients = evaluated_coefficients(network, views.positions, views.outgoing, seed)
+    coefficients = _Coefficients(network, seed)
     positions, outgoing = drawn.location.positions, drawn.outgoing
+    begun = time.perf_counter()
+
+    def transport(rows: slice, paths: int, key: int) -> Array:
+        return tracer.transport(positions[rows], outgoing[rows], drawn.incident[rows], paths, key)
+
+    def at_queries(rows: slice, paths: int, key: int) -> Array:
+        return tracer.coefficients(positions[rows], outgoing[rows], paths, key)
+
+    def at_vertices(rows: slice, paths: int, key: int) -> Array:
+        found = tracer.coefficients(*views.select(rows).flat(), paths, key)
+        return found.reshape(-1, VIEWS, *found.shape[1:])
+
+    def values(rows: slice) -> Array:
+        some = drawn.select(rows)
+        return np.asarray(network.evaluate(some.incident, some.positions, some.outgoing))
+
+    def coefficients_at_queries(rows: slice) -> Array:
+        return coefficients(drawn.positions[rows], outgoing[rows, None])[:, 0]
+
+    def coefficients_at_vertices(rows: slice) -> Array:
+        return coefficients(views.positions[rows], views.outgoing[rows])
+
+    def traced(
+        estimate: Estimate, predict: Predict, many: int, paths: int, share: float, before: float, stream: int
+    ) -> Traced:
+        limit = share * (seconds - (time.perf_counter() - begun)) if np.isfinite(seconds) else seconds
+
+        def follow_part(done: float) -> None:
+            follow(before + (1.0 - before) * share * done)
+
+        return trace_reference(
+            estimate,
+            many,
+            paths,
+            predict=predict,
+            seconds=max(0.0, limit),
+            seed=seed,
+            stream=stream,
+            follow=follow_part,
+        )
+
     batch = -(-walks // FIRST_BATCHES)
-
-    def transport(paths: int, key: int) -> Array:
-        return tracer.transport(positions, outgoing, drawn.incident, paths, key)
-
-    def at_queries(paths: int, key: int) -> Array:
-        return tracer.coefficients(positions, outgoing, paths, key)
-
-    def at_vertices(paths: int, key: int) -> Array:
-        return tracer.coefficients(*views.flat(), paths, key).reshape(view_coefficients.shape)
-
-    many = _COEFFICIENT_WALKS * batch
-    traced = None if smooth else refine_reference(transport, values, batch, _TRANSPORT_SHARE * seconds, seed, 1)
-    left = seconds - (traced.seconds if traced is not None else 0.0)
-    surface = refine_reference(at_queries, coefficients, many, _SURFACE_SHARE * left, seed, 2)
+    each = _COEFFICIENT_WALKS * batch
+    share = 0.0 if smooth else _TRANSPORT_SHARE
+    of_values = None if smooth else traced(transport, values, count, batch, share, 0.0, 1)
+    surface = traced(at_queries, coefficients_at_queries, count, each, _SURFACE_SHARE, share, 2)
+    share += (1.0 - share) * _SURFACE_SHARE
+    at_views = traced(at_vertices, coefficients_at_vertices, len(views.positions), each, 1.0, share, 3)
+    known = slice(0, len(surface if of_values is None else of_values))
     return Evaluation(
-        queries=drawn,
-        normals=np.asarray(prepared.surface.mesh.face_normals, np.float64)[drawn.location.faces],
-        predicted_transport=values,
-        transport=traced,
-        predicted_coefficients=coefficients,
+        queries=drawn.select(known),
+        normals=np.asarray(prepared.surface.mesh.face_normals, np.float64)[drawn.location.faces[known]],
+        transport=of_values,
         coefficients=surface,
-        views=views,
-        predicted_at_views=view_coefficients,
-        at_views=refine_reference(at_vertices, view_coefficients, many, left - surface.seconds, seed, 3),
+        views=views.select(slice(0, len(at_views))),
+        at_views=at_views,
     )

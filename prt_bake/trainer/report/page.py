@@ -26,7 +26,7 @@ img { display: block; height: auto; width: 100%; image-rendering: pixelated }
 svg { display: block; height: auto; max-width: 100%; width: 100%; margin: .6rem 0 }
 svg text { font-family: system-ui, sans-serif !important }
 .met { color: var(--met) } .not { color: var(--missed) } .undecided { color: var(--open) }
-b.verdict { white-space: nowrap }
+b.verdict { white-space: nowrap } p.verdict { font-size: 1.1rem; font-weight: 600 }
 """
 
 
@@ -50,8 +50,9 @@ def training_page(report: dict[str, Any]) -> str:
     sections = [
         f"<h1>Accuracy of the model of {escape(model['scene'])}</h1>",
         f'<p class="under">{_trained(model)} Intervals are 95 % confidence intervals.</p>',
+        f"<p class='verdict'>{escape(report['summary'][0])}</p>",
         _criteria(report["criteria"]),
-        f"<ul>{''.join(f'<li>{escape(sentence)}</li>' for sentence in report['summary'])}</ul>",
+        f"<ul>{''.join(f'<li>{escape(sentence)}</li>' for sentence in report['summary'][1:])}</ul>",
         _section("The network's error and the reference's noise", plots["split"], _split_table(report)),
         *(_picture(part) for part in report.get("pictures", [])),
         _section("Error over time", plots.get("history", "<p>The model has no history.</p>"), _prediction(report)),
@@ -102,7 +103,7 @@ def _trained(model: dict[str, Any]) -> str:
         return f"{model['weights']:,} weights."
     return (
         f"{model['weights']:,} weights, trained for {model['training_seconds'] / 60:.1f} minutes: "
-        f"{model['steps']:,} steps on {model['walks']:,} walks, {model['walks_per_second']:,.0f} walks per second."
+        f"{model['steps']:,} steps on {model['walks']:,} paths, {model['walks_per_second']:,.0f} paths per second."
     )
 
 
@@ -115,15 +116,15 @@ def _criteria(rows: list[dict[str, Any]]) -> str:
         else:
             bound, figure = (f"{100 * row['bound']:g} %", _percent(row)) if "bound" in row else ("", "")
         cells.append([escape(row["name"]), bound, figure, verdict])
-    return _table(["criterion", "at most", "measured", ""], cells)
+    return _table(["criterion", "at most", "measured", "verdict"], cells)
 
 
 def _split_table(report: dict[str, Any]) -> str:
     coefficients = report["coefficients"]
     parts = [
         ("Ŝ on fresh queries", report["transport"]),
-        ("a_lm over the surface", coefficients["surface"]),
-        ("a_lm over vertices and views", coefficients["vertices"]),
+        ("coefficients a_lm over the surface", coefficients["surface"]),
+        ("coefficients a_lm over vertices and views", coefficients["vertices"]),
     ]
     rows = [
         [name, _percent(p["network"]), f"{p['noise']:.2%}", f"{p['together']:.2%}", f"{p['rests_on']:.0f} of {p['of']}"]
@@ -131,7 +132,9 @@ def _split_table(report: dict[str, Any]) -> str:
         if p is not None
     ]
     return (
-        _table(["relative RMSE", "network", "noise", "both together", "effective number"], rows)
+        _table(
+            ["relative RMSE", "of the network", "of the reference's noise", "both together", "effective number"], rows
+        )
         + "<p class='under'>Noise is subtracted in squares, without bias. Effective number: how many queries or "
         "positions of equal weight would give the same certainty; figures with a small number are uncertain. "
         f"95th percentile over vertices of a vertex's relative RMSE: {_percent(coefficients['percentile_95'])}; "
@@ -147,11 +150,11 @@ def _picture(part: dict[str, Any]) -> str:
     return _section(
         f"A picture, sun {sun_text(part)}",
         strip,
-        f"<p class='under'>The network's picture, the path tracer's ({part['walks']} walks per pixel, "
-        f"{part['seconds']:.0f} s) and the FLIP map (1 is white), under {escape(part['light'])}. "
+        f"<p class='under'>Left to right: the network's picture, the path tracer's ({part['walks']} paths per pixel, "
+        f"{part['seconds']:.0f} s) and the map of their difference FLIP (white is 1), under {escape(part['light'])}. "
         "Subsurface light only.</p>",
         _table(
-            ["", "measured", "without the reference's noise", "noise alone"],
+            ["difference of the pictures", "measured", "without the reference's noise", "of noise alone"],
             [
                 ["mean FLIP of the picture", *_flips(part)],
                 ["mean FLIP of the object's pixels", *_flips(part["on_object"])],
@@ -170,15 +173,15 @@ def _prediction(report: dict[str, Any]) -> str:
     v = part["v"]
     interval = "" if v["low"] is None or v["low"] != v["low"] else f" ({v['low']:.3g} to {v['high']:.3g})"
     rows = [
-        ["v, relative variance of one walk", f"{v['value']:.3g}{interval}"],
+        ["v, relative variance of one path", f"{v['value']:.3g}{interval}"],
         ["weights", f"{part['weights']:,}"],
-        ["walks", f"{part['walks']:,.0f}"],
-        ["walks per second in training", f"{report['model']['walks_per_second']:,.0f}"],
+        ["paths", f"{part['walks']:,.0f}"],
+        ["paths per second in training", f"{report['model']['walks_per_second']:,.0f}"],
     ]
     if part["walks"] and part["weights"]:
-        rows.append(["expected error sqrt(weights · v / walks)", _percent(part["predicted"])])
+        rows.append(["expected error sqrt(weights · v / paths)", _percent(part["predicted"])])
     rows.append(["measured error", _percent(part["reached"])])
-    return _table([f"{'Ŝ' if part['of'] == 'transport' else 'coefficients'}", ""], rows)
+    return _table([f"error of {'Ŝ' if part['of'] == 'transport' else 'the coefficients'}", "value"], rows)
 
 
 def _regions(regions: list[dict[str, Any]]) -> str:
@@ -225,10 +228,17 @@ def _worst(part: dict[str, Any]) -> str:
             ]
         )
     quantity = "Ŝ [1/sr]" if transport else "√(4π) a₀₀"
-    head = ["position", *(["ωi"] if transport else []), "ωo", f"predicted {quantity}", "measured ± 1 σ", "z"]
+    head = [
+        "position",
+        *(["direction to the light ωi"] if transport else []),
+        "direction to the eye ωo",
+        f"{quantity} of the network",
+        "of the path tracer, ± one standard error",
+        "difference in standard errors",
+    ]
     return _table(head, rows, numbers_from=len(head) - 3) + (
-        "<p class='under'>Mean over RGB. The queries are selected from the first walks and measured again with other "
-        "walks, so that the selection does not bias these figures.</p>"
+        "<p class='under'>Mean over RGB. The queries are selected from the first paths and measured again with other "
+        "paths, so that the selection does not bias these figures.</p>"
     )
 
 
@@ -258,20 +268,37 @@ def _seams(part: dict[str, Any]) -> str:
         for name, row in part["errors_near"].items()
     ]
     return (
-        _table(["jump of the network, over the rms of Ŝ", "there", "elsewhere", "z", "visible"], jumps)
-        + _table(
-            ["relative RMSE within 10° of the seam, 15° of a pole", "there", "elsewhere", "z", "significant"], near
+        _table(
+            [
+                "jump of the network, over the rms of Ŝ",
+                "there",
+                "elsewhere",
+                "difference in standard errors",
+                "visible",
+            ],
+            jumps,
         )
-        + "<p class='under'>Ŝ is continuous, so jumps of a network are its own error, measured without noise. z above "
-        "4 is significant; jumps below 1 % are invisible.</p>"
+        + _table(
+            [
+                "relative RMSE within 10° of the seam, 15° of a pole",
+                "there",
+                "elsewhere",
+                "difference in standard errors",
+                "significant",
+            ],
+            near,
+        )
+        + "<p class='under'>Ŝ is continuous, so jumps of a network are its own error, measured without noise. More "
+        "than 4 standard errors are significant; jumps below 1 % are invisible.</p>"
     )
 
 
 def _reference(part: dict[str, Any]) -> str:
-    reasons = {"noise": "noise a third of the error", "time": "time used up", "size": "largest number of walks"}
+    reasons = {"noise": "noise a third of the error", "time": "time used up", "size": "largest number of paths"}
     rows = [
         [
             escape(name),
+            f"{row['queries']:,}",
             f"{row['walks']:,}",
             f"{row['walks_per_second']:,.0f}",
             f"{row['seconds']:.1f}",
@@ -280,7 +307,7 @@ def _reference(part: dict[str, Any]) -> str:
         for name, row in part.items()
         if isinstance(row, dict)
     ]
-    return _table(["path traced", "walks per query", "walks per second", "seconds", "ended by"], rows) + (
-        f"<p class='under'>{part['queries']} queries of {part['directions']} directions, {part['vertices']} vertices "
+    return _table(["path traced", "queries", "paths per query", "paths per second", "seconds", "ended by"], rows) + (
+        f"<p class='under'>{part['directions']} directions of incidence per query, {part['vertices']} vertices "
         f"of {part['views']} views, seed {part['seed']}; the model did not learn from them.</p>"
     )

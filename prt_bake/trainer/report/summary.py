@@ -8,6 +8,7 @@ from formats.scene import Scene
 from prt_bake.mathematics.noise_free import Interval
 from prt_bake.tracer.prepared import interface_kind
 from prt_bake.tracer.surface.interface import MATCHED
+from prt_bake.trainer.report.verdict import verdict
 
 COEFFICIENTS_PLAIN, COEFFICIENTS = 0.05, 0.10
 """Largest relative RMSE of a_lm for a homogeneous, index-matched object, and for any other."""
@@ -82,7 +83,9 @@ def criterion_line(row: dict[str, Any]) -> str:
 
 def sentences(found: dict[str, Any]) -> list[str]:
     """The assessment in sentences, the most important first; intervals are 95 % confidence intervals."""
-    summary = []
+    model = found["model"]
+    error = Interval(**found["coefficients"]["surface"]["network"])
+    summary = [verdict(error, model["training_seconds"] / 60.0, model["walks"])]
     if found["transport"] is not None:
         summary.append(f"Relative RMSE of Ŝ on fresh queries: {_error_text(found['transport'])}")
     else:

@@ -39,6 +39,11 @@ class Queries:
     incident: Array
     location: Location
 
+    def select(self, rows: slice) -> "Queries":
+        """Some of the queries."""
+        location = Location(self.location.faces[rows], self.location.barycentric[rows], self.location.positions[rows])
+        return Queries(self.keys[rows], self.positions[rows], self.outgoing[rows], self.incident[rows], location)
+
 
 class QuerySource:
     """Draws numbered queries of a scene; query n depends on the seed and n alone."""

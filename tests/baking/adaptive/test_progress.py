@@ -19,7 +19,7 @@ def shown(monkeypatch: pytest.MonkeyPatch, **arguments: Any) -> tuple[Shown, lis
     """The progress of a bake in small blocks, as shown and as reported."""
     monkeypatch.setattr("prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE", 4 * 64)
     seen, statuses = Shown(), list[BakeStatus]()
-    show = bake_progress(lambda share, words, left=None: seen.append((share, words, left)))
+    show = bake_progress(lambda share, words, left=None: seen.append((share, words, left)), arguments.get("error"))
 
     def progress(done: int, total: int, status: BakeStatus) -> None:
         statuses.append(status)
@@ -42,6 +42,16 @@ def test_the_share_never_decreases_between_passes(monkeypatch: pytest.MonkeyPatc
     ratios = [min(row[0] / (row[0] + row.left), NEARLY) for row in statuses if row.left is not None]
     assert shares == pytest.approx(list(itertools.accumulate(ratios, max)))
     assert shares[0] < 0.9
+    # The error of a coarse pass is unknown until its end; then the larger of both figures is shown.
+    coarse = [(words, status) for (_share, words, _left), status in zip(seen, statuses, strict=True)]
+    running = [(words, status) for words, status in coarse if status.stage == "pass 1"]
+    assert {status.figures for _words, status in running[:-1]} == {None}
+    assert running[0][0] == "pass 1: 4 of 42 vertices"
+    for words, status in running[-1:] + [each for each in coarse if each[1].stage == "pass 2"]:
+        assert status.figures is not None
+        assert status.figures.worst >= status[2]
+        name = "object" if status.figures.total == status.figures.worst else "95 % of vertices"
+        assert words == f"{status.stage}: {name} {100.0 * status.figures.worst:.2g} % (2 % asked)"
 
 
 def test_no_share_is_shown_without_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -65,11 +75,11 @@ def test_the_time_left_is_extrapolated_from_the_first_share_on(
             show(share, "done")
     lines = capsys.readouterr().err.splitlines()
     assert lines == [
-        "render: 0% begun",
-        "render: 50% done",
-        "render: 56% done, 14 s left",
-        "render: 62% done, 12 s left",
-        "render: 75% done, 8 s left",
+        "render  0% · begun",
+        "render  50% · done",
+        "render  56% · 0:14 left · done",
+        "render  62% · 0:12 left · done",
+        "render  75% · 0:08 left · done",
     ]
 
 
@@ -81,4 +91,4 @@ def test_lines_without_a_share_have_no_percentage(
         show(None, "3 of 9 vertices")
         show(0.25, "4 of 9 vertices", 30.0)
         show(1.0, "")
-    assert capsys.readouterr().err == "bake: 3 of 9 vertices\nbake: 25% 4 of 9 vertices, 30 s left\n"
+    assert capsys.readouterr().err == "bake  3 of 9 vertices\nbake  25% · 0:30 left · 4 of 9 vertices\n"

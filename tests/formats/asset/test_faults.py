@@ -199,6 +199,9 @@ CHANGES = {
     "/provenance/json: compression.added_relative_rmse is 'x'; expected an error": lambda file: put(
         file, "provenance/json", '{"compression": {"added_relative_rmse": "x"}}'
     ),
+    "/mesh: the attribute flat_shaded is 2; expected 0 or 1": lambda file: file["mesh"].attrs.__setitem__(
+        "flat_shaded", 2
+    ),
     "network_error is 0.1; expected three numbers": lambda file: file.attrs.__setitem__("network_error", 0.1),
     "network_error is .0.1, 0.3, 0.2.; expected three numbers": lambda file: file.attrs.__setitem__(
         "network_error", [0.1, 0.3, 0.2]

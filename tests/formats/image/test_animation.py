@@ -115,7 +115,7 @@ NAN[2, 1, 0] = np.nan
 @pytest.mark.parametrize(
     ("name", "frames", "seconds", "sentence"),
     [
-        ("turn.mp4", [np.zeros((4, 4, 3))], 0.1, "expected an animation .png, .webp or .gif, found '.mp4'"),
+        ("turn.avi", [np.zeros((4, 4, 3))], 0.1, "expected an animation .png, .webp, .gif or .mp4, found '.avi'"),
         ("turn.png", [], 0.1, "has no frames"),
         ("turn.webp", [], 0.1, "has no frames"),
         (

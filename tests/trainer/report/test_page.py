@@ -17,6 +17,7 @@ from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.report.assessment import assess
 from prt_bake.trainer.report.page import training_page, write_training_report
 from prt_bake.trainer.report.picture import SUNS, picture_summary, sun_text
+from prt_bake.trainer.report.report import report_training
 from tests.tracer.scenes import make_scene, sphere
 from tests.trainer.report.test_assessment import Network, NoisyTruth, truth
 
@@ -130,3 +131,16 @@ def test_the_command_reports_on_a_model_and_refuses_another_scene(tmp_path, capf
     save_model(network, tmp_path / "m.pt")
     assert main(words) == 1
     assert "was trained on another scene" in capfd.readouterr().err
+
+
+def test_a_report_without_time_has_no_pictures_and_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr("prt_bake.trainer.report.report.write_training_report", lambda *_: None)
+    scene, shares = make_scene(tmp_path, sphere(1)), []
+    network = Network(lambda *query: 1.05 * truth(*query))
+    network.metadata = {}
+    found, _page = report_training(network, scene, tmp_path / "m.pt", within=0.0, follow=shares.append)
+    assert found["pictures"] == []
+    assert "the time was too short" in found["summary"][-1]
+    assert found["summary"][0].startswith("a_lm is ")
+    assert found["reference"]["coefficients"]["queries"] == 8
+    assert shares == sorted(shares)

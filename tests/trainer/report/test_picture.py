@@ -13,7 +13,7 @@ from prt_bake.geometry import camera
 from prt_bake.lights.environment import project
 from prt_bake.rendering.scene import render_scene
 from prt_bake.trainer.report import picture as training_picture
-from prt_bake.trainer.report.picture import FLIP, SIZE, SUNS, picture_criterion, picture_error, sun_and_sky
+from prt_bake.trainer.report.picture import ENLARGED, FLIP, SIZE, SUNS, picture_criterion, picture_error, sun_and_sky
 from tests.tracer.scenes import make_scene, sphere
 from tests.trainer.report.test_assessment import Network
 
@@ -32,7 +32,7 @@ def test_two_thirds_of_the_light_come_from_a_sun_above_the_horizon(tmp_path, up,
     assert disc.irradiance.mean() / (disc.irradiance.mean() + sky_fluence) == pytest.approx(2.0 / 3.0, rel=0.02)
     height = disc.direction[{"y": 1, "z": 2}[up]]
     assert 0.4 < height < 0.7
-    eye = camera._VIEW[up] / np.linalg.norm(camera._VIEW[up])
+    eye = camera.direction_of_view("three-quarter", up)
     assert eye_cosine[0] < float(eye @ disc.direction) < eye_cosine[1]
     overhead, below = (light.radiance(side * np.eye(3)[[{"y": 1, "z": 2}[up]]])[0] for side in (1.0, -1.0))
     assert (overhead > 3.0 * below).all()
@@ -68,8 +68,10 @@ def test_the_error_agrees_with_independent_pictures(scene, sun):
     share = 0.5 * coverage.mean(), 1.5 * coverage.mean()
     assert share[0] < found["flip"] / found["on_object"]["flip"] < share[1]
     picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(found["png"]))))
-    assert picture.shape == (SIZE, 3 * SIZE, 3)
-    ours, theirs, flip = np.split(picture.astype(np.float64), 3, axis=1)
+    shown = ENLARGED * SIZE
+    assert picture.shape == (shown, 3 * shown, 3)
+    middle = slice(ENLARGED // 2, None, ENLARGED)
+    ours, theirs, flip = (part[middle, middle] for part in np.split(picture.astype(np.float64), 3, axis=1))
     # A few pixels at the silhouette are fully covered by four rays but only partly by more.
     assert np.ptp(np.percentile(ours[coverage], [10, 90], axis=0), axis=0).max() <= 2.0
     assert np.ptp(theirs[coverage], axis=0).min() > 50.0
@@ -85,24 +87,30 @@ def test_pictures_depend_on_the_seed_alone(scene, monkeypatch):
         return render_scene(*arguments[:3], 4, arguments[4], background=False)
 
     monkeypatch.setattr(training_picture, "render_scene", traced)
+    monkeypatch.setattr(training_picture, "ENLARGED", 1)
     found = [picture_error(constant(0.05), scene, "aside", 1.0, seed)["flip"] for seed in (0, 1, 0)]
     assert found[0] == found[2] != found[1]
     assert len(set(seeds)) == 4
 
 
 @pytest.mark.parametrize(
-    ("flip", "without", "noise", "expected"),
-    [
-        (0.9 * FLIP, 0.5 * FLIP, 0.3 * FLIP, "met"),
-        (1.4 * FLIP, 1.2 * FLIP, 0.6 * FLIP, "not met"),
-        (1.4 * FLIP, 0.8 * FLIP, 0.9 * FLIP, "undecided"),
-        (1.4 * FLIP, 1.2 * FLIP, 1.1 * FLIP, "undecided"),
-    ],
+    ("flip", "without", "expected"),
+    [(0.9, 0.5, "met"), (1.4, 1.2, "not met"), (1.5, 0.9, "undecided"), (1.0, 1.0, "met"), (1.01, 1.01, "not met")],
 )
-def test_the_verdict_is_undecided_if_noise_dominates(flip, without, noise, expected):
-    row = picture_criterion({"sun": "behind", "flip": flip, "flip_without_noise": without, "flip_of_noise": noise})
+def test_the_interval_of_flip_contains_its_value_and_decides(flip, without, expected):
+    row = picture_criterion({"sun": "behind", "flip": flip * FLIP, "flip_without_noise": without * FLIP})
+    assert row["low"] <= row["value"] == without * FLIP <= row["high"]
     assert row["verdict"] == expected
-    assert row["bound"] == FLIP == 0.05
+    if without < flip:
+        assert row["low"] < row["value"] < row["high"] < flip * FLIP
+
+
+def test_flip_of_noise_alone_may_be_nothing():
+    """FLIP of noise grows as the 0.35th power of its variance: doubled noise has 1.275 times the FLIP."""
+    doubled = 2.0**0.35
+    row = picture_criterion({"sun": "behind", "flip": 1.0, "flip_without_noise": np.sqrt(2.0 - doubled**2)})
+    assert row["low"] == pytest.approx(0.0, abs=1e-4)
+    assert row["verdict"] == "undecided"
 
 
 def test_a_black_object_has_no_picture(tmp_path):

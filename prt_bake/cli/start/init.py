@@ -1,0 +1,144 @@
+"""`prtbake init`: writes a scene file for a mesh and a material."""
+
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from formats.errors import MeshError, StorageError
+from prt_bake.cli.shared.options import optional_output
+from prt_bake.cli.shared.outputs import check_outputs
+from prt_bake.cli.shared.progress import say
+
+if TYPE_CHECKING:
+    from formats.mesh import Mesh
+    from formats.scene.materials import Material
+
+_USUAL_SIZE = 100.0
+"""Millimetres of the longest side, for meshes whose unit is not known."""
+_LEAST_COSINE = 0.5
+"""Of the angle between a vertex normal and a face beside it, below which there is a hard edge."""
+_FEW = 0.05
+"""Share of vertices or faces at hard edges up to which a surface is smooth."""
+
+MaterialName = Annotated[
+    str | None,
+    typer.Option("--material", metavar="NAME", help="Such as jade; `prtbake materials` lists all.", show_default=False),
+]
+ObjectSize = Annotated[
+    str | None,
+    typer.Option(
+        "--size", metavar="LENGTH", help="Longest side of the object: 14cm, 55mm, 0.3m, 6in.", show_default=False
+    ),
+]
+
+
+def init(
+    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="Closed mesh: .glb, .gltf, .obj, .ply or .stl.")],
+    material: MaterialName = None,
+    size: ObjectSize = None,
+    output: Annotated[
+        Path | None,
+        optional_output("--output -o", "SCENE.toml", "Scene to write; by default NAME.toml, after the mesh.", ".toml"),
+    ] = None,
+    up: Annotated[Literal["y", "z"], typer.Option(help="Axis of the mesh that points up.")] = "y",
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing scene file.")] = False,
+) -> None:
+    """Write a commented scene file for a mesh, ready to train.
+
+    Without --size a glTF mesh is in metres, and any other is taken to be 10 cm long.
+    """
+    path = output or Path(f"{mesh.stem}.toml")
+    write_scene(mesh, material, size, path, up, force)
+    print(f"next: {shlex.join(['prtbake', 'make', str(path), '-o', path.stem])}", file=sys.stderr)
+
+
+def write_scene(
+    mesh_path: Path, material: str | None, size: str | None, path: Path, up: Literal["y", "z"], force: bool
+) -> None:
+    """Write the scene of a mesh, and print what was chosen.
+
+    Raises typer.BadParameter for an unknown material or size, MeshError for a mesh that is not sound, and StorageError
+    if the scene exists and `force` is not given.
+    """
+    substance, length = _material(material), _length(size)
+    check_outputs({"--output": path}, {"MESH": mesh_path})
+    if path.exists() and not force:
+        raise StorageError(f"{path}: already exists; add --force to replace it, or choose another name with -o")
+    from formats.atomic import replacing
+    from formats.mesh import read_mesh
+    from prt_bake.cli.start.scene_draft import SceneDraft
+    from prt_bake.inspection import translucency
+    from prt_bake.inspection.mesh import find_faults
+
+    if faults := find_faults(mesh_path):
+        more = f" (and {len(faults) - 1} more: `prtbake check` lists them)" if len(faults) > 1 else ""
+        raise MeshError(f"{faults[0]}{more}")
+    mesh = read_mesh(mesh_path)
+    unit_in_mm = _unit_in_mm(mesh, mesh_path, length)
+    normals: Literal["vertex", "face"] = "vertex" if _has_good_normals(mesh) else "face"
+    draft = SceneDraft(path, mesh_path, mesh, substance, unit_in_mm, up, normals)
+    with replacing(path) as part:
+        part.write_text(draft.text(), encoding="utf-8")
+    if not substance.measured:
+        say(f"{substance.name} is {substance.source}")
+    if remark := translucency.remark(draft.light, 1.0):
+        say(f"remark: {remark}")
+    paths = draft.light.size / draft.light.transport
+    least, most = translucency.digits(paths.min()), translucency.digits(paths.max())
+    print(
+        f"{path}: {mesh_path.name} in {substance.name}, {draft.light.size:.4g} mm long, {least} to {most} transport "
+        f"mean free paths (about 5 to 50 look translucent)"
+    )
+
+
+def _material(name: str | None) -> "Material":
+    from formats.scene.materials import find_material
+
+    if name is None:
+        raise typer.BadParameter(f"Missing option '--material'. {_materials_by_group()}")
+    try:
+        return find_material(name)
+    except KeyError as cause:
+        raise typer.BadParameter(f"--material: unknown material {name!r}; {cause.args[0]}") from None
+
+
+def _materials_by_group() -> str:
+    from formats.scene.materials import materials
+
+    groups: dict[str, list[str]] = {}
+    for material in materials().values():
+        groups.setdefault(material.group, []).append(material.name)
+    return "; ".join(f"{group}: {', '.join(names)}" for group, names in groups.items())
+
+
+def _length(size: str | None) -> float | None:
+    from formats.scene.units import read_length
+
+    try:
+        return None if size is None else read_length(size)
+    except ValueError as cause:
+        raise typer.BadParameter(f"--size: {cause}") from None
+
+
+def _unit_in_mm(mesh: "Mesh", path: Path, length: float | None) -> float:
+    """Return the millimetres per unit of the mesh, from the length of its longest side if that is given."""
+    longest = float((mesh.bounds[1] - mesh.bounds[0]).max())
+    if length is not None:
+        return length / longest
+    if path.suffix.lower() in (".glb", ".gltf"):
+        say(f"{path}: glTF is in metres, so the object is {1000.0 * longest:.4g} mm long; --size changes that")
+        return 1000.0
+    say(f"{path}: the format has no unit of length; the object is taken to be 10 cm long; --size changes that")
+    return _USUAL_SIZE / longest
+
+
+def _has_good_normals(mesh: "Mesh") -> bool:
+    """Whether the vertex normals follow the faces, as on a smooth surface, and no hard edge is rounded by them."""
+    import numpy as np
+
+    cosines: Any = np.einsum("fci,fi->fc", mesh.normals[mesh.faces], mesh.face_normals)
+    steep = (cosines < _LEAST_COSINE).any(axis=1).mean()
+    return bool(mesh.split_normals <= _FEW * len(mesh.positions) and steep <= _FEW)

@@ -1,0 +1,38 @@
+"""Checks of an asset, its light and the eye, which need no torch."""
+
+from typing import Any
+
+import numpy as np
+
+from formats import arguments
+from formats.errors import QueryError
+
+
+def asset(name: str, value: Any) -> Any:
+    """A baked asset."""
+    if hasattr(value, "evaluate") and not hasattr(value, "coefficients"):
+        raise QueryError(f"{name}: expected an asset, found {arguments.described(value)}; bake it first: prt.bake")
+    arguments.require(name, value, ("coefficients", "mesh", "valid"), "prt.read_asset")
+    return value
+
+
+def light_of_vertices(name: str, value: Any) -> Any:
+    """Coefficients, or what `light_for` returns; None for an asset that was made for one light."""
+    if value is None or hasattr(value, "harmonics"):
+        return value
+    if hasattr(value, "skies") or isinstance(value, str) or hasattr(value, "__fspath__"):
+        raise QueryError(
+            f"{name}: expected what prt.light_for(asset, prt.read_lighting(path)) returns, or coefficients [K, 3], "
+            f"such as those of suns_apart (.harmonics) or project_environment, found {arguments.described(value)}"
+        )
+    return arguments.numbers(name, value)
+
+
+def point(name: str, value: Any) -> Any:
+    """A point, or directions to it."""
+    if isinstance(value, str):
+        raise QueryError(f"{name}: expected numbers such as [0, 1, 4], found {arguments.described(value)}")
+    array = arguments.numbers(name, value)
+    if array.shape == (3,) and not np.isfinite(array).all():
+        raise QueryError(f"{name}: expected three finite numbers, found {array.tolist()}")
+    return array

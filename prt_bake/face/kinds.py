@@ -1,0 +1,270 @@
+"""The kind of each argument of a public function, by its name. A check returns the value in the type to work with."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Collection, Mapping
+from typing import Any
+
+import numpy as np
+
+from formats import arguments
+from formats.errors import QueryError, refuse_path
+from formats.mesh import as_mesh
+from prt_bake.face.assets import asset, light_of_vertices, point
+
+Check = Callable[[str, Any], Any]
+
+
+def scene(name: str, value: Any) -> Any:
+    """A scene."""
+    arguments.require(name, value, ("parts", "medium", "mesh"), "prt.load_scene")
+    return value
+
+
+def lighting(name: str, value: Any) -> Any:
+    """Skies and suns."""
+    if hasattr(value, "shape"):
+        raise QueryError(
+            f"{name}: expected what prt.read_lighting(path) returns, found {arguments.described(value)}; its "
+            f"coefficients are prt.project_environment(image)"
+        )
+    arguments.require(name, value, ("skies", "suns"), "prt.read_lighting")
+    return value
+
+
+def light_of_picture(name: str, value: Any) -> Any:
+    """A lighting, or the picture of a sky."""
+    if hasattr(value, "skies"):
+        return value
+    if isinstance(value, str) or hasattr(value, "__fspath__"):
+        return lighting(name, value)
+    return arguments.radiance(name, value)
+
+
+def camera(name: str, value: Any) -> Any:
+    """A camera."""
+    if not all(hasattr(value, each) for each in ("eye", "target", "fov", "width")):
+        found = arguments.described(value)
+        raise QueryError(f"{name}: expected what prt.fit_camera(mesh, width, height, eye=…) returns, found {found}")
+    return value
+
+
+def model(name: str, value: Any) -> Any:
+    """A neural BSSRDF."""
+    arguments.require(name, value, ("evaluate", "settings", "metadata"), "prt.load_model")
+    return value
+
+
+def transport(name: str, value: Any) -> Any:
+    """An object that evaluates Ŝ or estimates its coefficients."""
+    if hasattr(value, "evaluate") or hasattr(value, "evaluate_block") or hasattr(value, "estimate_coefficients"):
+        return value
+    refuse_path(name, value, "prt.load_model")
+    raise QueryError(
+        f"{name}: expected what prt.load_model(path) returns, or an object with evaluate(incident, positions, "
+        f"outgoing), found {arguments.described(value)}"
+    )
+
+
+def baked(name: str, value: Any) -> Any:
+    """What can be baked: a transport, or a scene, which is path traced."""
+    return value if arguments.described(value) == "a scene" else transport(name, value)
+
+
+def device(name: str, value: Any) -> str:
+    """A device that exists here: "cpu", "cuda" or "cuda:0"."""
+    text = str(value) if type(value).__module__ == "torch" else value
+    if text == "cpu":
+        return "cpu"
+    if isinstance(text, str) and text.split(":")[0] == "cuda":
+        import torch
+
+        if torch.cuda.is_available():
+            return text
+    raise QueryError(
+        f"{name}: expected 'cpu', or 'cuda' with a GPU that the installed torch can use, found {value!r}; give 'cpu'"
+    )
+
+
+def device_or_auto(name: str, value: Any) -> str:
+    """A device, or "auto": CUDA where it exists."""
+    return "auto" if isinstance(value, str) and value == "auto" else device(name, value)
+
+
+def function(name: str, value: Any) -> Any:
+    """A function to call."""
+    if not callable(value):
+        raise QueryError(f"{name}: expected a function, found {arguments.described(value)}")
+    return value
+
+
+def finite(name: str, value: Any) -> float:
+    """A finite number."""
+    number = arguments.real_number(name, value)
+    if not math.isfinite(number):
+        raise QueryError(f"{name}: expected a finite number, found {number}")
+    return number
+
+
+def duration(name: str, value: Any) -> float:
+    """A time, which may be infinite."""
+    number = arguments.real_number(name, value)
+    if math.isnan(number):
+        raise QueryError(f"{name} must be a number, found nan")
+    return number
+
+
+def share(name: str, value: Any) -> float:
+    """A number from 0 to 1."""
+    number = arguments.real_number(name, value)
+    if not 0.0 <= number <= 1.0:
+        raise QueryError(f"{name}: expected a number from 0 to 1, found {number:g}")
+    return number
+
+
+def count(name: str, value: Any) -> int:
+    """A whole number of 1 or more."""
+    number = arguments.whole_number(name, value)
+    if number < 1:
+        raise QueryError(f"{name} must be at least 1, found {number}")
+    return number
+
+
+def suns(name: str, value: Any) -> Any:
+    """Directional lights."""
+    if isinstance(value, str):
+        return value  # refused by `shade`, which knows what was meant
+    lights = list(value) if hasattr(value, "__iter__") else [value]
+    if not all(hasattr(each, "irradiance") for each in lights):
+        raise QueryError(
+            f"{name}: expected directional lights, such as prt.suns_apart(lighting, degree).suns, found "
+            f"{arguments.described(value)}"
+        )
+    return value
+
+
+def coverage(name: str, value: Any) -> Any:
+    """Coverage of pixels, from 0 to 1."""
+    array = arguments.numbers(name, value)
+    if array.dtype.kind in "iu" and array.max(initial=0) > 1:
+        raise QueryError(f"{name}: expected coverage from 0 to 1, found {array.dtype} up to {array.max()}")
+    return array
+
+
+def names(name: str, value: Any) -> Any:
+    """Two names."""
+    if isinstance(value, str) or not hasattr(value, "__len__") or len(value) != 2:
+        raise QueryError(f"{name}: expected two names, found {arguments.described(value)}")
+    return value
+
+
+def importance(name: str, value: Any) -> Any:
+    """An importance module."""
+    if not hasattr(value, "lobe"):
+        raise QueryError(f"{name}: expected an importance module, found {arguments.described(value)}")
+    return value
+
+
+def settings(name: str, value: Any) -> Any:
+    """A record of settings."""
+    if not dataclasses.is_dataclass(value) or isinstance(value, type):
+        raise QueryError(f"{name}: expected a record of settings, found {arguments.described(value)}")
+    return value
+
+
+def collection(name: str, value: Any) -> Any:
+    """Several names; a single one is refused where they are read."""
+    if not isinstance(value, Collection):
+        raise QueryError(f"{name}: expected a collection of names, found {arguments.described(value)}")
+    return value
+
+
+def dictionary(name: str, value: Any) -> Any:
+    """Entries by name."""
+    if not isinstance(value, Mapping):
+        raise QueryError(f"{name}: expected a dictionary, found {arguments.described(value)}")
+    return value
+
+
+def lights(name: str, value: Any) -> Any:
+    """Files of skies and lights, or suns as text, one or several."""
+    each = [value] if isinstance(value, str) or not hasattr(value, "__iter__") else list(value)
+    return value if not [arguments.path(name, one) for one in each] else each
+
+
+def coefficients(name: str, value: Any) -> Any:
+    """Coefficients [K,3] of a light, or a record of them."""
+    if hasattr(value, "coefficients"):
+        return value
+    array = None if isinstance(value, str) or hasattr(value, "skies") else arguments.numbers(name, value)
+    if array is None or array.ndim != 2 or array.shape[1] != 3:
+        raise QueryError(
+            f"{name}: expected coefficients of shape [K, 3], as prt.project_environment(image) returns, found "
+            f"{arguments.described(value if array is None else array)}"
+        )
+    return array
+
+
+def seed(name: str, value: Any) -> int:
+    """A key of random numbers."""
+    number = arguments.whole_number(name, value)
+    if number < 0:
+        raise QueryError(f"{name} must be at least 0, found {number}")
+    return number
+
+
+def mask(name: str, value: Any) -> Any:
+    """A mask, of booleans or of weights."""
+    return value if getattr(value, "dtype", None) == np.bool_ else arguments.numbers(name, value)
+
+
+WHOLE = arguments.whole_number
+
+KINDS: dict[str, Check] = {
+    "asset": asset,
+    "mesh": as_mesh,
+    "scene": scene,
+    "transport": transport,
+    "lighting": lighting,
+    "lights": lights,
+    "camera": camera,
+    "seed": seed,
+    "mask": mask,
+    "device": device,
+    "leave_out": collection,
+    "provenance": dictionary,
+    "attributes": dictionary,
+    **dict.fromkeys(("coefficients", "for_light"), coefficients),
+    **dict.fromkeys(("image", "reference"), arguments.radiance),
+    **dict.fromkeys(("eye", "target", "for_eye"), point),
+    "alpha": coverage,
+    "roughness": share,
+    "names": names,
+    "importance": importance,
+    **dict.fromkeys(("positions", "outgoing", "incident", "origin", "keys"), arguments.numbers),
+    **dict.fromkeys(("degree", "rings", "sectors", "lobes", "most", "paths", "samples", "steps"), WHOLE),
+    **dict.fromkeys(("spp", "width", "height", "most_rows"), WHOLE),
+    **dict.fromkeys(("workers", "connections", "turns"), count),
+    **dict.fromkeys(("error", "fov", "extent", "scale"), arguments.real_number),
+    **dict.fromkeys(("minutes", "every"), duration),
+    **dict.fromkeys(("degrees", "rotate", "exposure"), finite),
+    **dict.fromkeys(("settings", "learning"), settings),
+    **dict.fromkeys(("path", "out", "output", "folder", "checkpoint"), arguments.path),
+    **dict.fromkeys(("progress", "stop", "say", "preview"), function),
+}
+"""The check of each name of an argument."""
+
+OF_FUNCTION: dict[tuple[str, str], Check] = {
+    ("shade", "light"): light_of_vertices,
+    ("render_picture", "light"): light_of_picture,
+    ("render_scene", "light"): light_of_picture,
+    ("render_network", "light"): light_of_picture,
+    ("render_network", "network"): transport,
+    ("save_model", "network"): model,
+    ("bake", "transport"): baked,
+    ("shade", "suns"): suns,
+    ("write_image", "layers"): dictionary,
+    ("train", "samples"): arguments.path,
+    ("train", "device"): device_or_auto,
+}
+"""Arguments whose name has another meaning in one function."""

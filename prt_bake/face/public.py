@@ -1,0 +1,56 @@
+"""Makes a function public: its arguments are checked by kind, and its signature in a tooltip is names and defaults."""
+
+import functools
+import inspect
+from collections.abc import Callable
+from contextlib import suppress
+from types import ModuleType
+from typing import Any, cast
+
+from prt_bake.face.kinds import KINDS, OF_FUNCTION
+
+
+def public(name: str, value: object) -> object:
+    """`value` as it is handed out under the public `name`. Classes and modules only get shorter signatures."""
+    if inspect.isfunction(value):
+        return checked(name, value)
+    if isinstance(value, ModuleType):
+        for each in vars(value).values():
+            if inspect.isfunction(each) and each.__module__ == value.__name__:
+                cast(Any, each).__signature__ = without_types(inspect.signature(each))
+    elif isinstance(value, type) and not issubclass(value, Exception):
+        with suppress(ValueError):
+            cast(Any, value).__signature__ = without_types(inspect.signature(value))
+    return value
+
+
+def checked(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function with its arguments checked by kind; QueryError names an argument of another kind.
+
+    Arguments that are their default are not checked: None is allowed where it is the default.
+    """
+    signature = inspect.signature(function)
+    checks = {each: OF_FUNCTION.get((name, each)) or KINDS.get(each) for each in signature.parameters}
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        try:
+            bound = signature.bind(*args, **kwargs)
+        except TypeError:
+            return function(*args, **kwargs)  # raises Python's own error, which names the function
+        for parameter, value in bound.arguments.items():
+            check = checks[parameter]
+            if check is not None and value is not signature.parameters[parameter].default:
+                bound.arguments[parameter] = check(parameter, value)
+        return function(*bound.args, **bound.kwargs)
+
+    # Pickled by its public name, as an argument of a process pool.
+    call.__module__, call.__qualname__, call.__name__ = "prt_bake", name, name
+    cast(Any, call).__signature__ = without_types(signature)
+    return call
+
+
+def without_types(signature: inspect.Signature) -> inspect.Signature:
+    """Names and defaults. Types of arrays are a screen long when they are expanded; docstrings give shapes instead."""
+    parameters = [each.replace(annotation=inspect.Parameter.empty) for each in signature.parameters.values()]
+    return inspect.Signature(parameters)

@@ -1,0 +1,142 @@
+"""How far light travels in a medium, beside the size of the object: whether it will look translucent."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.scene.medium import Medium
+
+Array = NDArray[np.float64]
+
+_DEPTH = 0.1
+"""Thickness of a slab that stands for the thin parts of an object, as a share of its longest side."""
+_OPAQUE = 1e-3
+"""Share of diffuse light through that slab below which nothing is seen to glow."""
+_CLEAR = 1.0
+"""Extinctions times the longest side below which more than a third of the light crosses straight."""
+GUIDE = "translucent looks need an object of some 5 to 50 transport mean free paths"
+
+
+@dataclass(frozen=True, eq=False)
+class Translucency:
+    """Mean free paths in a homogeneous medium, and the light that crosses a tenth of the object, RGB, float64 [3].
+
+    Attributes:
+        size: longest side of the object.
+        mean_free_path: 1 / σt, between two events.
+        transport: 1 / (σa + σs′), until the direction is forgotten; σs′ = σs (1 − g).
+        diffuse: 1 / √(3 σa (σa + σs′)), the distance over which diffuse light falls to 1/e; infinite without
+            absorption.
+        crossing: diffuse transmittance of a slab as thick as a tenth of `size`, from 0 to 1.
+
+    All lengths have the unit of `size`.
+
+    >>> light = translucency(np.array([2.19, 2.62, 3.0]), np.array([0.0021, 0.0041, 0.0071]), 0.0, 140.0)
+    >>> light.transport.round(2).tolist(), light.diffuse.round(1).tolist(), light.crossing.round(3).tolist()
+    ([0.46, 0.38, 0.33], [8.5, 5.6, 4.0], [0.033, 0.018, 0.008])
+    """
+
+    size: float
+    mean_free_path: Array
+    transport: Array
+    diffuse: Array
+    crossing: Array
+
+    @property
+    def opaque(self) -> bool:
+        """Whether no channel lets enough light through a tenth of the object to be seen."""
+        return bool(self.crossing.max() < _OPAQUE)
+
+    @property
+    def clear(self) -> bool:
+        """Whether in every channel much of the light crosses the object without any event."""
+        return bool(self.size < _CLEAR * self.mean_free_path.min())
+
+
+def translucency(sigma_s: Array, sigma_a: Array, phase_g: float, size: float) -> Translucency:
+    """Return how far light travels in a medium of scattering and absorption [3], in an object of this longest side.
+
+    The transmittance is that of the diffusion equation with extrapolated boundaries, 2/3 of a transport mean free path
+    outside the slab, and its source one transport mean free path inside.
+    """
+    sigma_t, reduced = sigma_s + sigma_a, sigma_a + (1.0 - phase_g) * sigma_s
+    with np.errstate(divide="ignore"):
+        transport = 1.0 / reduced
+        diffuse = 1.0 / np.sqrt(3.0 * sigma_a * reduced)
+        mean_free_path = 1.0 / sigma_t
+    crossing = np.array([_slab(*pair, _DEPTH * size) for pair in zip(transport, diffuse, strict=True)])
+    return Translucency(size, mean_free_path, transport, diffuse, crossing)
+
+
+def of_medium(medium: Medium, size: float) -> Translucency | None:
+    """Return that of a scene's medium, of the mean over its grids; None without extinction."""
+    sigma_t, albedo = _mean(medium.sigma_t), _mean(medium.albedo)
+    if not (sigma_t > 0.0).any():
+        return None
+    return translucency(albedo * sigma_t, (1.0 - albedo) * sigma_t, medium.phase_g, size)
+
+
+def describe(light: Translucency, millimetres: float | None) -> dict[str, Any]:
+    """Return the lengths as text under readable names, in millimetres or, if these are not known, in scene units."""
+    scale, unit = (1.0, "scene units") if millimetres is None else (millimetres, "mm")
+    return {
+        "longest side": f"{light.size * scale:.4g} {unit}",
+        "mean free path": f"{channels(light.mean_free_path * scale)} {unit}",
+        "transport mean free path": f"{channels(light.transport * scale)} {unit}",
+        "diffuse mean free path": f"{channels(light.diffuse * scale)} {unit}",
+        "longest side in transport mean free paths": channels(light.size / light.transport),
+        "diffuse light through a tenth of the object": f"{channels(100.0 * light.crossing)} %",
+    }
+
+
+def remark(light: Translucency, millimetres: float | None) -> str:
+    """Return a sentence if the object would look opaque or clear; else an empty text."""
+    scale, unit = (1.0, "scene units") if millimetres is None else (millimetres, "mm")
+    found = (
+        f"the mean free path is {channels(light.mean_free_path * scale)} {unit} in an object of "
+        f"{light.size * scale:.4g} {unit}"
+    )
+    if light.opaque:
+        paths = light.size / light.transport.max()
+        return (
+            f"it will look opaque: {found}, at least {paths:,.0f} transport mean free paths, and less than "
+            f"{_OPAQUE:.1%} of the light crosses a tenth of it; {GUIDE}: lower sigma_t (of a material, density), or "
+            f"check the unit of length"
+        )
+    if light.clear:
+        return (
+            f"it is almost clear: {found}, and much of the light crosses it without scattering, which no model or "
+            f"asset holds; {GUIDE}: raise sigma_t (of a material, density), or check the unit of length"
+        )
+    return ""
+
+
+def channels(values: Array) -> str:
+    """Return three numbers as text, or one if they are equal to its digits; infinity is "unlimited"."""
+    texts = ["unlimited" if value == np.inf else digits(float(value)) for value in values]
+    return texts[0] if len(set(texts)) == 1 else ", ".join(texts)
+
+
+def digits(value: float) -> str:
+    """Return a number with three digits, or more before the point."""
+    return f"{value:,.0f}" if value >= 1000.0 else f"{value:.3g}"
+
+
+def _slab(transport: float, diffuse: float, thickness: float) -> float:
+    """Return the diffuse transmittance of a slab, at most 1."""
+    if transport == np.inf:
+        return 1.0
+    source, whole = 5.0 / 3.0 * transport, thickness + 4.0 / 3.0 * transport
+    near, far = source / diffuse, whole / diffuse
+    if far < 1e-6:
+        return min(1.0, source / whole)
+    # sinh(near) / sinh(far), where both may overflow
+    return float(min(1.0, np.exp(near - far) * np.expm1(-2.0 * near) / np.expm1(-2.0 * far)))
+
+
+def _mean(quantity: Array) -> Array:
+    """Return the mean over the cells of a grid [Z,Y,X] or [Z,Y,X,3], a number or RGB, as RGB [3]."""
+    mean = quantity.mean(axis=(0, 1, 2)) if quantity.ndim > 2 else quantity
+    return np.broadcast_to(mean, 3).astype(np.float64)

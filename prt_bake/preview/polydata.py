@@ -1,0 +1,47 @@
+"""An asset as a mesh for PyVista, with the radiance of a light."""
+
+import os
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from formats.asset import Asset
+from formats.errors import warn
+from formats.image.png import to_srgb
+from formats.mesh.polydata import polydata
+from prt_bake.geometry import camera
+from prt_bake.lights.lighting import Lighting, as_lighting, read_lighting
+from prt_bake.shading.asset_light import AssetLight, light_for
+from prt_bake.shading.vertices import shade
+
+Light = str | os.PathLike[str] | Lighting | AssetLight | ArrayLike | None
+
+
+def to_pyvista(asset: Asset, light: Light = None, eye: ArrayLike | None = None) -> Any:
+    """Return the asset's mesh with its radiance; `Asset.to_pyvista` describes it."""
+    if eye is None:
+        eye = camera.fit(asset.mesh, up=asset.up).eye
+    radiance = shade(asset, _prepared(asset, light), eye)
+    mesh = polydata(asset.mesh.positions, asset.mesh.faces, asset.mesh.normals)
+    mesh.point_data["radiance"] = radiance.astype(np.float32)
+    mesh.point_data["rgb"] = np.rint(255.0 * to_srgb(radiance)).astype(np.uint8)
+    mesh.set_active_scalars("rgb")
+    return mesh
+
+
+def shipped_sky() -> str:
+    """Return the path of the shipped sky."""
+    return str(resources.files("prt_bake.shipped") / "sky.hdr")
+
+
+def _prepared(asset: Asset, light: Light) -> Any:
+    """Return the light as `shade` takes it."""
+    if asset.quantity == "radiance" or isinstance(light, AssetLight):
+        return light
+    if light is None or isinstance(light, str | os.PathLike):
+        light = read_lighting([os.fspath(light or shipped_sky())], asset.up, say=warn, mesh=asset.mesh)
+    if isinstance(light, Lighting) or np.ndim(light) == 3:
+        return light_for(asset, as_lighting(light, asset.up, 0.0))
+    return light

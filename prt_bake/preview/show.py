@@ -1,0 +1,61 @@
+"""`Asset.show`: the preview window from Python, and in a notebook."""
+
+import importlib.util
+import os
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from formats.asset import Asset
+from formats.errors import QueryError, warn
+from formats.extras import require
+from prt_bake.geometry import camera
+from prt_bake.lights.lighting import Lighting
+from prt_bake.preview.lights import LightSource
+from prt_bake.preview.polydata import shipped_sky
+from prt_bake.preview.state import Preview
+
+_SIZE = 960, 720
+_NEEDED_BY_SERVER = "trame_pyvista", "ipywidgets"
+
+
+def show(asset: Asset, light: str | os.PathLike[str] | Lighting | None = None, eye: ArrayLike | None = None) -> Any:
+    """Show the window, or draw it in a notebook; `Asset.show` describes it."""
+    require("show", "pyvista")
+    from prt_bake.preview.window import View, Window, on_display, open_plotter
+
+    preview = Preview(asset, _sources(asset, light))
+    start = camera.fit(asset.mesh, *_SIZE, eye=eye, up=asset.up)
+    camera.refuse_eye_in_object(asset.mesh, start.eye)
+    plotter = open_plotter(*_SIZE)
+    if not plotter.notebook and not on_display(plotter):
+        plotter.close()
+        raise QueryError(
+            "show: there is no display for the window; asset.to_pyvista() draws with any plotter, such as "
+            "pyvista.Plotter(off_screen=True)"
+        )
+    window = Window(View(preview, plotter, start), "asset")
+    if plotter.notebook:
+        return window.show_in_notebook(_backend())
+    window.run()
+    return None
+
+
+def _sources(asset: Asset, light: str | os.PathLike[str] | Lighting | None) -> list[LightSource]:
+    if light is None and asset.quantity == "radiance":
+        return []
+    known = shipped_sky() if light is None else light
+    if not isinstance(known, str | os.PathLike | Lighting):
+        raise QueryError(
+            f"light: expected the path of a light, or what prt.read_lighting returns, found a {type(light).__name__}"
+        )
+    if asset.quantity == "radiance":
+        raise QueryError("light: the asset was made for one light and cannot be relit; pass None to show it")
+    text = known if isinstance(known, Lighting) else os.fspath(known)
+    return [LightSource(text, asset.up, asset.degree, say=warn, mesh=asset.mesh)]
+
+
+def _backend() -> str:
+    """Return PyVista's backend that draws on the server, as the shaders need, or else a picture."""
+    found = all(importlib.util.find_spec(name) is not None for name in _NEEDED_BY_SERVER)
+    return "server" if found else "static"

@@ -1,0 +1,42 @@
+"""A verdict on a trained model in words: its error, what more training would bring, and what the model is good for."""
+
+import math
+
+from prt_bake.mathematics.noise_free import Interval
+
+LEVELS = (
+    (0.05, "good for final pictures"),
+    (0.10, "good for previews and real-time use"),
+    (0.20, "good for a first look"),
+)
+"""Largest relative RMSE of a_lm for each use: pictures under a sky are off by about half of it (docs/training.md)."""
+_POOR = "a rough impression"
+_EXPONENT, _LATE_EXPONENT = 0.16, 0.1
+"""The error falls as minutes to the minus this power, on the scenes of docs/training.md, first and after `_MANY`."""
+_MANY = 5e7
+"""Walks."""
+_LITTLE = 0.95
+"""More training that leaves more than this part of the error is not worth mentioning."""
+
+
+def verdict(error: Interval, minutes: float, walks: float) -> str:
+    """Judge a relative RMSE of a_lm after some minutes of learning from some walks.
+
+    >>> verdict(Interval(0.044, 0.041, 0.047), minutes=10.0, walks=1e8)
+    'a_lm is 4.4 % off (4.1 to 4.7): good for final pictures; ten minutes more would bring about 4 % (extrapolated)'
+    """
+    if not math.isfinite(error.value):
+        return "the error of a_lm is unknown: the reference is no brighter than its noise"
+    interval = "" if not math.isfinite(error.low) else f" ({100 * error.low:.1f} to {100 * error.high:.1f})"
+    use = next((words for most, words in LEVELS if error.value <= most), _POOR)
+    return f"a_lm is {100 * error.value:.1f} % off{interval}: {use}{_outlook(error.value, minutes, walks)}"
+
+
+def _outlook(error: float, minutes: float, walks: float) -> str:
+    if not minutes > 0.0:
+        return ""
+    more, words = (10.0, "ten minutes more") if minutes < 20.0 else (minutes, "twice the time")
+    left = (1.0 + more / minutes) ** -(_EXPONENT if walks < _MANY else _LATE_EXPONENT)
+    if left > _LITTLE:
+        return "; more training would bring little"
+    return f"; {words} would bring about {100 * error * left:.0f} % (extrapolated)"

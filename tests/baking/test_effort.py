@@ -1,0 +1,80 @@
+"""What a bake does without options, and how it says so."""
+
+from typing import Any
+
+import pytest
+
+from bakers.plan import BakePlan
+from prt_bake import bake
+from prt_bake.baking.bake import plan
+from prt_bake.baking.job.effort import DEFAULT_ERROR, choose_effort
+from tests.bakers.transports import Lobed, icosphere
+from tests.baking.clock import Clock, Timed
+
+GRID: dict[str, Any] = {"rings": 2, "sectors": 4}
+
+
+class Walked:
+    """Offers random walks alone."""
+
+    def estimate_coefficients(self, *arguments: Any) -> Any:
+        """Never called."""
+
+
+SENTENCES: list[tuple[Any, str, tuple[Any, ...], str]] = [
+    (Lobed(), "fibonacci", (None, None, None), "to 2 % error, the default"),
+    (Lobed(), "fibonacci", (18, None, None), "with 18 directions per view bin"),
+    (Lobed(), "fibonacci", (None, 0.005, None), "to 0.5 % error"),
+    (Lobed(), "fibonacci", (18, 0.1, None), "to 10 % error; the 18 directions per view bin are ignored"),
+    (Lobed(), "fibonacci", (None, None, 5.0), "for 5 minutes"),
+    (Lobed(), "fibonacci", (None, 0.01, 5.0), "to 1 % error, for at most 5 minutes"),
+    (Lobed(), "fibonacci", (None, None, float("inf")), "until it is stopped"),
+    (Lobed(), "sobol", (None, None, None), "with 64 directions per view bin, the default"),
+    (Walked(), "fibonacci", (None, None, None), "with 64 paths per view bin, the default"),
+    (Walked(), "fibonacci", (None, 0.1, None), "to 10 % error"),
+]
+
+FIXED = "directions per view bin", "paths per view bin", "the default"
+
+
+@pytest.mark.parametrize(("transport", "directions", "given", "sentence"), SENTENCES)
+def test_the_effort_is_said(transport: Any, directions: str, given: tuple[Any, ...], sentence: str) -> None:
+    effort = choose_effort(transport, directions, *given)
+    assert effort.sentence == sentence
+    walks = isinstance(transport, Walked)
+    assert effort.adaptive == (not walks and sentence.startswith(("to", "for", "until")))
+
+
+def test_a_bake_without_options_goes_to_the_default_error() -> None:
+    default, requested = (bake(Lobed(), icosphere(1), **GRID, **more) for more in ({}, {"error": DEFAULT_ERROR}))
+    assert default.provenance["settings"] == requested.provenance["settings"]
+    assert (default.coefficients == requested.coefficients).all()
+    fixed = bake(Lobed(), icosphere(1), **GRID, samples=20)
+    assert fixed.provenance["settings"]["samples"] == 20
+    assert fixed.provenance["settings"]["error"] is None
+
+
+def test_the_plan_of_a_time_is_for_that_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock(monkeypatch)
+
+    def planned(**more: Any) -> BakePlan:
+        return plan(Timed(Lobed(), clock, each=1e-5), icosphere(2), rings=4, sectors=16, **more)
+
+    short, longer = planned(minutes=0.1), planned(minutes=5.0)
+    assert short.seconds is not None
+    assert short.seconds_between is not None
+    assert 0.5 < short.seconds <= short.seconds_between[1] == 6.0
+    assert short.error is not None
+    assert longer.error is not None
+    assert longer.error < 0.5 * short.error
+    assert longer.evaluations > 2 * short.evaluations
+    began = clock.now
+    asset = bake(Timed(Lobed(), clock, each=1e-5), icosphere(2), rings=4, sectors=16, minutes=0.1)
+    assert short.seconds_between[0] <= clock.now - began <= 6.0
+    assert 0.3 < short.evaluations / asset.provenance["evaluations"] < 3.0
+    # The time suffices for this error, so it is what decides.
+    reached = planned(minutes=1000.0, error=0.2)
+    assert reached.error == 0.2
+    assert reached.seconds is not None
+    assert reached.seconds < 60.0
+    assert plan(Lobed(), icosphere(1), **GRID, minutes=float("inf")).seconds is None

@@ -1,0 +1,242 @@
+"""`prtbake make`: its steps and times, with commands that only write their files and turn a clock."""
+
+import json
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Annotated
+
+import pytest
+import trimesh
+import typer
+
+from formats.errors import PrtbakeError
+from formats.mesh import build_mesh, flipped, read_mesh, write_mesh
+from prt_bake.cli.main import main as prtbake
+from prt_bake.cli.making import steps
+from prt_bake.cli.making.make import make
+
+SECONDS = {"train": 840.0, "bake": 200.0, "picture": 8.0, "turntable": 20.0}
+
+
+class Kitchen:
+    """Commands that write their files, how long each takes, and one that fails after it has written half."""
+
+    def __init__(self, asset):
+        self.asset, self.seconds, self.now = asset, dict(SECONDS), 0.0
+        self.calls, self.broken, self.slow = [], "", False
+        self.app = typer.Typer()
+        for command in (make, self.train, self.bake, self.shade):
+            self.app.command(command.__name__)(command)
+
+    def run(self, *arguments):
+        self.calls = []
+        self.app(args=["make", *map(str, arguments)], standalone_mode=False)
+        return self.calls
+
+    def finish(self, name, output, *facts):
+        self.calls.append((name, *facts))
+        self.now += self.seconds[name]
+        output.write_bytes(b"half")
+        if name == self.broken:
+            Path(f"{output}.journal").mkdir(exist_ok=True)
+            raise PrtbakeError(f"{name}: stopped")
+        if name == "bake":
+            shutil.copy(self.asset, output)
+
+    def train(
+        self,
+        scene: Path,
+        output: Annotated[Path, typer.Option("-o")],
+        minutes: float = 0.0,
+        resume: Annotated[bool, typer.Option("--resume")] = False,
+    ) -> None:
+        output.with_name("model.train.pt").write_bytes(b"state")
+        self.finish("train", output, minutes, resume)
+        output.with_name("model.report.html").write_text("report")
+
+    def bake(
+        self,
+        source: Path,
+        mesh: Path,
+        output: Annotated[Path, typer.Option("-o")],
+        error: float = 0.0,
+        minutes: float = 0.0,
+        workers: int = 1,
+        resume: Annotated[bool, typer.Option("--resume")] = False,
+        rings: int = 16,
+        sectors: int = 64,
+        samples: int = 64,
+        lobes: int = 4,
+    ) -> None:
+        assert source.is_file()
+        assert mesh.is_file()
+        if self.slow and minutes:
+            self.calls.append(("bake", error, minutes, resume))
+            self.now += 60.0 * minutes
+            Path(f"{output}.journal").mkdir()
+            raise PrtbakeError("nothing was written")
+        assert resume or not Path(f"{output}.journal").exists()
+        self.finish("bake", output, rings if self.slow else error, minutes, resume)
+
+    def shade(
+        self,
+        asset: Path,
+        light: Annotated[list[str], typer.Option("--light")],
+        output: Annotated[Path, typer.Option("-o")],
+        size: str = "",
+        turntable: str = "",
+        frames: int = 0,
+        seconds: float = 0.0,
+        reflection: Annotated[bool, typer.Option("--reflection")] = False,
+    ) -> None:
+        assert reflection
+        self.finish("turntable" if turntable else "picture", output, frames, *map(str, light))
+
+
+@pytest.fixture(scope="session")
+def asset(folder):
+    return folder / "asset.h5"
+
+
+@pytest.fixture
+def kitchen(asset, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    write_mesh(build_mesh(ball.vertices, ball.faces), tmp_path / "ball.obj")
+    assert prtbake(["init", "ball.obj", "--material", "wax", "--size", "5cm", "-o", "wax.toml"]) == 0
+    cook = Kitchen(asset)
+    monkeypatch.setattr(steps, "time", SimpleNamespace(monotonic=lambda: cook.now))
+    return cook
+
+
+def summary():
+    return json.loads(Path("out/summary.json").read_text())
+
+
+def test_the_steps_share_the_time(kitchen, capsys):
+    calls = kitchen.run("wax.toml", "-o", "out", "--minutes", "20")
+    assert [call[0] for call in calls] == ["train", "bake", "picture", "turntable"]
+    assert calls[0][1:] == (14.0, False)
+    assert calls[1][1:] == (0.02, 4.0, False)  # 20 minutes less 14 of training and 2 for the rest
+    assert calls[2][2].endswith("sky.hdr")
+    assert calls[2][3] == "sun:0.6,0.6,-0.6:2,1.9,1.7:3"
+    assert calls[3][1] == 19  # frames: half of the 152 s that are left, each of half the time of the picture
+    found = summary()
+    assert [step["name"] for step in found["steps"]] == ["train", "bake", "picture", "turntable", "compress"]
+    assert found["seconds"] == sum(SECONDS.values())
+    assert found["steps"][0]["files"].keys() == {"model.pt", "model.report.html"}
+    assert found["figures"]["vertices"] == 42
+    page = Path("out/summary.md").read_text()
+    assert "    prtbake train wax.toml -o out/model.pt --minutes 14\n" in page
+    assert "    prtbake bake out/model.pt ball.obj -o out/asset.h5 --workers" in page
+    assert "![picture.png](picture.png)" in page
+    captured = capsys.readouterr()
+    assert captured.out.startswith("out/summary.md: error of the coefficients ")
+    assert captured.err.endswith("next: prtbake view out/asset.h5\n")
+
+
+def test_finished_steps_are_not_done_again(kitchen, capsys):
+    kitchen.run("wax.toml", "-o", "out", "--light", "sun:0,1,0")
+    assert kitchen.run("wax.toml", "-o", "out", "--light", "sun:0,1,0") == []
+    assert "train: done already, in 14:00 min" in capsys.readouterr().err
+    Path("out/asset.h5").unlink()
+    calls = kitchen.run("wax.toml", "-o", "out", "--light", "sun:0,1,0")
+    assert [call[0] for call in calls] == ["bake", "picture", "turntable"]
+    assert calls[1] == ("picture", 0, "sun:0,1,0")
+
+
+def test_a_stopped_training_is_resumed(kitchen, capsys):
+    kitchen.broken = "train"
+    with pytest.raises(PrtbakeError, match="train: stopped"):
+        kitchen.run("wax.toml", "-o", "out")
+    assert "train was not finished; the same `prtbake make` continues there" in capsys.readouterr().err
+    kitchen.broken = ""
+    assert kitchen.run("wax.toml", "-o", "out")[0] == ("train", 14.0, True)
+
+
+def test_a_stopped_bake_is_resumed_with_the_same_time(kitchen):
+    kitchen.broken = "bake"
+    with pytest.raises(PrtbakeError, match="bake: stopped"):
+        kitchen.run("wax.toml", "-o", "out")
+    kitchen.broken, kitchen.seconds["bake"] = "", 100.0
+    calls = kitchen.run("wax.toml", "-o", "out")
+    assert [call[0] for call in calls] == ["bake", "picture", "turntable"]
+    assert calls[0] == ("bake", 0.02, 4.0, True)
+    assert "--resume" not in Path("out/summary.md").read_text()
+
+
+def test_a_bake_that_is_too_slow_is_coarse(kitchen, capsys):
+    kitchen.slow = True
+    calls = kitchen.run("wax.toml", "-o", "out")
+    assert calls[1:3] == [("bake", 0.02, 4.0, False), ("bake", 4, 0.0, False)]
+    assert (
+        "bake: not all vertices were ready after 4 minutes; a coarse bake follows, of fewer views"
+        in capsys.readouterr().err
+    )
+    assert "--rings 4 --sectors 8 --samples 18" in summary()["steps"][1]["command"]
+
+
+def test_the_exit_code_of_a_step_stops_the_rest(kitchen, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(kitchen, "finish", interrupted)
+    with pytest.raises(SystemExit) as stopped:
+        kitchen.app(args=["make", "wax.toml", "-o", "out"])
+    assert stopped.value.code == 130
+    assert summary()["steps"] == []
+
+
+def test_what_the_time_is_over_for_is_left_out(kitchen, capsys):
+    kitchen.seconds |= {"train": 1150.0, "bake": 130.0, "picture": 60.0}
+    calls = kitchen.run("wax.toml", "-o", "out")
+    assert calls[1][2] == 2.0  # the bake has a tenth of the time, however long the training took
+    assert [call[0] for call in calls] == ["train", "bake", "picture"]
+    assert "turntable: left out, since the time is over; to do it by hand: prtbake shade" in capsys.readouterr().err
+    assert [step["name"] for step in summary()["steps"] if step["note"]] == ["turntable", "compress"]
+    assert "| compress | 0 s | left out, since the time was over |" in Path("out/summary.md").read_text()
+    assert not Path("out/compact.h5").exists()
+    kitchen.seconds["turntable"] = 100.0
+    assert kitchen.run("wax.toml", "-o", "out") == []  # a tenth of the time is no more than 8 frames take
+    kitchen.seconds["picture"] = 8.0
+    Path("out/picture.png").unlink()
+    assert [call[0] for call in kitchen.run("wax.toml", "-o", "out")] == ["picture", "turntable"]
+    assert Path("out/compact.h5").exists()
+
+
+def test_another_scene_or_foreign_files_are_refused(kitchen):
+    kitchen.run("wax.toml", "-o", "out")
+    text = Path("wax.toml").read_text()
+    Path("wax.toml").write_text(text.replace("density = 1.0", "density = 2.0"))
+    with pytest.raises(PrtbakeError, match=r"out: was made with scene_hash .* choose another folder, or add --force"):
+        kitchen.run("wax.toml", "-o", "out")
+    Path("wax.toml").write_text(text)
+    with pytest.raises(PrtbakeError, match=r"out: was made with minutes 20\.0, found 5\.0"):
+        kitchen.run("wax.toml", "-o", "out", "--minutes", "5")
+    kitchen.seconds |= {"train": 210.0, "bake": 50.0}
+    assert len(kitchen.run("wax.toml", "-o", "out", "--minutes", "5", "--force")) == 4
+    Path("out/summary.json").write_text("{}")
+    with pytest.raises(PrtbakeError, match=r"summary\.json: was not written by `prtbake make`, or is damaged"):
+        kitchen.run("wax.toml", "-o", "out")
+    Path("out/summary.json").unlink()
+    with pytest.raises(PrtbakeError, match=r"model\.pt: already exists; choose another folder, or add --force"):
+        kitchen.run("wax.toml", "-o", "out")
+
+
+def test_a_mesh_gets_a_scene_in_the_folder(kitchen, capsys):
+    kitchen.run("ball.obj", "-o", "out", "--material", "jade", "--size", "4cm")
+    assert 'material = "jade"' in Path("out/ball.toml").read_text()
+    assert kitchen.run("ball.obj", "-o", "out", "--material", "jade") == []
+    assert "out/ball.toml: is there already, and is used as it is; --force writes it anew" in capsys.readouterr().err
+
+
+def test_what_would_fail_later_is_refused_at_once(kitchen):
+    with pytest.raises(typer.BadParameter, match="--material and --size are for meshes"):
+        kitchen.run("wax.toml", "-o", "out", "--material", "jade")
+    with pytest.raises(PrtbakeError, match=r"missing\.hdr: there is no such file"):
+        kitchen.run("wax.toml", "-o", "out", "--light", "missing.hdr")
+    write_mesh(flipped(read_mesh("ball.obj")), "ball.obj")
+    with pytest.raises(PrtbakeError, match=r"ball\.obj: the faces are wound inside out; flip the normals"):
+        kitchen.run("wax.toml", "-o", "out")
+    assert kitchen.calls == []

@@ -1,0 +1,58 @@
+"""`prtbake bake SOURCE` without a mesh takes that of the source's scene."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from formats.errors import QueryError
+from formats.scene import read_scene
+from prt_bake.baking.sources import own_mesh
+from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF, save_model
+from tests.cli.command_line import Run
+
+
+def save(path: Path, **metadata: str) -> None:
+    save_model(NeuralBSSRDF(NetworkSettings(features=8, width=16), (-1, -1, -1), 2.0, metadata=metadata), path)
+
+
+@pytest.fixture
+def moved(folder: Path, tmp_path: Path) -> Path:
+    for name in ("scene.toml", "sphere.ply"):
+        shutil.copy(folder / name, tmp_path)
+    save(tmp_path / "a.pt", scene="scene.toml", scene_hash=read_scene(tmp_path / "scene.toml").content_hash)
+    return tmp_path
+
+
+def test_the_mesh_of_a_scene_is_baked(prtbake: Run, tmp_path: Path) -> None:
+    few = ["--rings", 1, "--sectors", 4, "--samples", 2]
+    outcome = prtbake("bake", "scene.toml", *few, "-o", tmp_path / "a.h5")
+    assert outcome.code == 0
+    assert "prtbake: bakes on the mesh sphere.ply" in outcome.err
+    assert (tmp_path / "a.h5").exists()
+    over = prtbake("bake", "scene.toml", *few, "-o", "sphere.ply")
+    assert over.code != 0
+
+
+def test_a_model_finds_its_scene(moved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert own_mesh(moved / "a.pt") == moved / "sphere.ply"
+    # In the current folder too.
+    (moved / "models").mkdir()
+    shutil.move(moved / "a.pt", moved / "models")
+    monkeypatch.chdir(moved)
+    assert own_mesh("models/a.pt").resolve() == moved / "sphere.ply"
+
+
+def test_a_scene_that_is_missing_or_changed_is_not_taken(moved: Path) -> None:
+    scene = moved / "scene.toml"
+    scene.write_text(scene.read_text().replace("sigma_t = ", "sigma_t = 1"))
+    with pytest.raises(QueryError, match=r"its scene .*scene\.toml has changed since the training; give the mesh"):
+        own_mesh(moved / "a.pt")
+    scene.unlink()
+    with pytest.raises(QueryError, match=r"the model's scene scene\.toml is not beside it; give the mesh after"):
+        own_mesh(moved / "a.pt")
+    save(moved / "plain.pt")
+    with pytest.raises(QueryError, match="the model does not know its scene's mesh; give the mesh"):
+        own_mesh(moved / "plain.pt")
+    with pytest.raises(QueryError, match="a TorchScript function does not know its mesh; give the mesh"):
+        own_mesh(moved / "plain.pt", "incident, position, outgoing; angles=unit")
