@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from formats.errors import MeshError
+from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.options import within
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
@@ -54,6 +55,7 @@ def make(
     from prt_bake.lights.lighting import read_lighting
 
     check_outputs({"--output": [folder / name for name in all_names()]}, {"SCENE": scene, "--light": light}, folder)
+    refuse_other_kinds({"SCENE": (scene, ("scene", "mesh")), "--light": (light, LIGHT)})
     path = _scene_file(scene, folder, material, size, force)
     read = read_scene(path)
     _refuse_turned(read)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from formats.errors import MeshError, StorageError
+from prt_bake.cli.shared.kinds import refuse_other_kinds
 from prt_bake.cli.shared.options import optional_output
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
@@ -50,6 +51,7 @@ def init(
 
     Without --size a glTF mesh is in metres, and any other is taken to be 10 cm long.
     """
+    refuse_other_kinds({"MESH": (mesh, ("mesh",))})
     path = output or Path(f"{mesh.stem}.toml")
     write_scene(mesh, material, size, path, up, force)
     print(f"next: {shlex.join(['prtbake', 'make', str(path), '-o', path.stem])}", file=sys.stderr)
