@@ -143,14 +143,13 @@ class Asset(AssetHead):
         return to_pyvista(self, light, eye)
 
     def show(self, light: Any = None, eye: Any = None) -> Any:
-        """Show the window of `prtbake view`; in a notebook, draw it with PyVista's backend.
+        """Show the window of `prtbake view`; in a notebook, return a picture above sliders for the light and the eye.
 
         Args:
             light: the path of a light as for `--light`, or a `prt.Lighting`; the shipped sky by default.
             eye: the first position of the camera [3]; by default that of `prt.fit_camera`.
 
-        In a notebook the window can be orbited, and its light rotated by a slider, if `trame-pyvista` and `ipywidgets`
-        are installed; otherwise this is a picture.
+        Without `ipywidgets` a notebook shows a picture alone.
 
         Raises PrtbakeError if PyVista or a display is missing, and what `prt.read_lighting` raises.
         """
