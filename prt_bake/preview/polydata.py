@@ -21,10 +21,10 @@ Light = str | os.PathLike[str] | Lighting | AssetLight | ArrayLike | None
 
 def to_pyvista(asset: Asset, light: Light = None, eye: ArrayLike | None = None) -> Any:
     """Return the asset's mesh with its radiance; `Asset.to_pyvista` describes it."""
+    mesh = polydata(asset.mesh.positions, asset.mesh.faces, asset.mesh.normals)
     if eye is None:
         eye = camera.fit(asset.mesh, up=asset.up).eye
     radiance = shade(asset, _prepared(asset, light), eye)
-    mesh = polydata(asset.mesh.positions, asset.mesh.faces, asset.mesh.normals)
     mesh.point_data["radiance"] = radiance.astype(np.float32)
     mesh.point_data["rgb"] = np.rint(255.0 * to_srgb(radiance)).astype(np.uint8)
     mesh.set_active_scalars("rgb")
