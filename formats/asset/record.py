@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,9 @@ from formats.asset.error_covariance import ErrorCovariance
 from formats.asset.lobes import Lobes
 from formats.asset.total_error import ErrorInterval, TotalError
 from formats.mesh import Mesh
+
+if TYPE_CHECKING:
+    import pyvista
 
 Storage = Literal["float16", "float32"]
 
@@ -118,7 +121,7 @@ class Asset(AssetHead):
         whole = None if bake is None else math.hypot(bake, compression)
         return TotalError(self.network_error, whole, "walks" in self.provenance)
 
-    def to_pyvista(self, light: Any = None, eye: Any = None) -> Any:
+    def to_pyvista(self, light: Any = None, eye: Any = None) -> "pyvista.PolyData":
         """Return the mesh as `pyvista.PolyData` with the radiance of a light, for notebooks and other plotters.
 
         Args:

@@ -4,7 +4,7 @@ import dataclasses
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from formats.errors import MeshError, warn
 from formats.mesh import geometry
 from formats.mesh.edges import edges_of, inside_out, two_sided_faces
 from formats.mesh.normals import refuse_wrong_side
+
+if TYPE_CHECKING:
+    import pyvista
 
 SPLIT_ANGLE = 30.0
 """In degrees. Normals of a file that differ by more at one vertex make a hard edge."""
@@ -121,7 +124,7 @@ class Mesh:
             return self.corner_uv is None
         return np.array_equal(self.uv[self.faces], self.corner_uv)
 
-    def to_pyvista(self) -> Any:
+    def to_pyvista(self) -> "pyvista.PolyData":
         """Return the mesh as `pyvista.PolyData`, with the vertex normals in the array "Normals".
 
         Raises PrtbakeError if PyVista is not installed.

@@ -69,6 +69,8 @@ def test_the_defaults_are_the_shipped_sky_and_the_fitted_camera() -> None:
     [
         (ASSET, "none.exr", EYE, prt.PrtbakeError, r"none\.exr"),
         (ASSET, "spot.obj", EYE, LightError, "is not a light"),
+        (ASSET, "", EYE, LightError, "is not a light"),
+        (ASSET, [[1.0], [1.0, 2.0]], EYE, QueryError, "expected coefficients"),
         (ASSET, np.ones((4, 3)), EYE, QueryError, r"expected shape \[9, 3\]"),
         (ASSET, constant(), [0.0, 0.0, 0.0], QueryError, "inside the object"),
         (ONE_LIGHT, constant(), EYE, QueryError, "made for one light"),
