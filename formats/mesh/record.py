@@ -4,7 +4,7 @@ import dataclasses
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from formats.mesh.normals import refuse_wrong_side
 from formats.summary import summary
 
 if TYPE_CHECKING:
+    import pyvista
     import trimesh
 
 SPLIT_ANGLE = 30.0
@@ -175,7 +176,7 @@ class Mesh:
             return self.corner_uv is None
         return np.array_equal(self.uv[self.faces], self.corner_uv)
 
-    def to_pyvista(self) -> Any:
+    def to_pyvista(self) -> "pyvista.PolyData":
         """Return the mesh as `pyvista.PolyData`, with the vertex normals in the array "Normals".
 
         Raises PrtbakeError if PyVista is not installed.
