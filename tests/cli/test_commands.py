@@ -293,7 +293,10 @@ def test_demo_bakes_relights_and_measures_the_shipped_object(
     for name, file in {**shipped, "REFERENCE_REPORT": report.name}.items():
         monkeypatch.setattr(demonstration, name, folder / file)
     outcome = prtbake("demo", "--out", tmp_path / "new" / "demo", "--workers", 1)
-    assert (outcome.code, outcome.err) == (0, "")
+    assert outcome.code == 0, outcome.err
+    (successor,) = outcome.err.splitlines()
+    assert successor.startswith("next: prtbake ")
+    assert str(tmp_path / "new" / "demo" / "spot.h5") in successor
     made = ["comparison.png", "error.png", "report.json", "spot.exr", "spot.h5", "spot.png"]
     assert sorted(path.name for path in (tmp_path / "new" / "demo").iterdir()) == made
     assert [word for word in ["MSE", "SSIM", "FLIP", "noise", *made] if word not in outcome.out] == []
