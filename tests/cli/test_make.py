@@ -14,9 +14,9 @@ from formats.errors import PrtbakeError
 from formats.mesh import build_mesh, flipped, read_mesh, write_mesh
 from prt_bake.cli.main import main as prtbake
 from prt_bake.cli.making import steps
+from prt_bake.cli.making.make import make
 from prt_bake.cli.shared import signals
 from prt_bake.cli.shared.next_step import say_next
-from prt_bake.cli.making.make import make
 
 SECONDS = {"train": 840.0, "bake": 200.0, "picture": 8.0, "turntable": 20.0}
 
@@ -255,3 +255,20 @@ def test_what_would_fail_later_is_refused_at_once(kitchen):
     with pytest.raises(PrtbakeError, match=r"ball\.obj: the faces are wound inside out; flip the normals"):
         kitchen.run("wax.toml", "-o", "out")
     assert kitchen.calls == []
+
+
+@pytest.mark.statistics
+@pytest.mark.usefixtures("compiled_kernels")
+def test_a_mesh_becomes_an_asset_and_pictures(tmp_path, monkeypatch, capsys):
+    """The real commands, on a ball of 42 vertices."""
+    monkeypatch.chdir(tmp_path)
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    write_mesh(build_mesh(ball.vertices, ball.faces), tmp_path / "ball.obj")
+    command = ["make", "ball.obj", "-o", "out", "--material", "jade", "--size", "5cm", "--minutes", "1"]
+    assert prtbake(command) == 0
+    assert {"model.pt", "asset.h5", "picture.png", "summary.md"} <= {path.name for path in Path("out").iterdir()}
+    assert summary()["figures"]["errors"]["total"] < 0.5
+    assert [step["name"] for step in summary()["steps"]] == ["train", "bake", "picture", "turntable", "compress"]
+    capsys.readouterr()
+    assert prtbake(command) == 0
+    assert "train: done already" in capsys.readouterr().err
