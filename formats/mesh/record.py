@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.errors import MeshError, warn
+from formats.arguments import described
+from formats.errors import MeshError, QueryError, warn
 from formats.mesh import creases, geometry
 from formats.mesh.edges import edges_of, inside_out, two_sided_faces
 from formats.mesh.normals import refuse_wrong_side
@@ -102,6 +103,8 @@ class Mesh:
         >>> prt.Mesh.from_trimesh(trimesh.creation.icosphere(subdivisions=0)).faces.shape
         (20, 3)
         """
+        if not all(hasattr(mesh, each) for each in ("vertices", "faces", "vertex_normals")):
+            raise QueryError(f"mesh: expected a mesh of trimesh, found {described(mesh)}")
         if not len(mesh.faces):
             raise MeshError("mesh: expected faces, found none in the trimesh mesh")
         built = build_mesh(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces))
