@@ -57,6 +57,8 @@ def model(name: str, value: Any) -> Any:
 
 def transport(name: str, value: Any) -> Any:
     """An object that evaluates Ŝ or estimates its coefficients."""
+    if isinstance(value, type):
+        raise QueryError(f"{name}: expected an object, found the class {value.__name__}; give {value.__name__}(…)")
     if hasattr(value, "evaluate") or hasattr(value, "evaluate_block") or hasattr(value, "estimate_coefficients"):
         return value
     refuse_path(name, value, "prt.load_model")
@@ -158,6 +160,13 @@ def names(name: str, value: Any) -> Any:
     return value
 
 
+def text(name: str, value: Any) -> str:
+    """A text."""
+    if not isinstance(value, str):
+        raise QueryError(f"{name}: expected a text, found {arguments.described(value)}")
+    return value
+
+
 def importance(name: str, value: Any) -> Any:
     """An importance module."""
     if not hasattr(value, "lobe"):
@@ -240,6 +249,7 @@ KINDS: dict[str, Check] = {
     "alpha": coverage,
     "roughness": share,
     "names": names,
+    "scheduler": text,
     "importance": importance,
     **dict.fromkeys(("positions", "outgoing", "incident", "origin", "keys"), arguments.numbers),
     **dict.fromkeys(("degree", "rings", "sectors", "lobes", "most", "paths", "samples", "steps"), WHOLE),

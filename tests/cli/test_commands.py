@@ -244,6 +244,13 @@ def test_ineffective_options_of_render_are_wrong_usage(prtbake: Run, options: li
     assert sentence in outcome.err
 
 
+def test_a_report_of_a_bake_takes_a_view_or_an_eye(prtbake: Run, tmp_path: Path) -> None:
+    both = ["--view", "front", "--eye", "0,0,5", "--out", tmp_path / "report"]
+    outcome = prtbake("report", "bake", "model.pt", "sphere.ply", *both)
+    assert outcome.code == 2
+    assert "--view: --eye places the camera; omit one of them" in outcome.err
+
+
 def test_info_prints_one_figure_per_line(prtbake: Run) -> None:
     lines = prtbake("info", demonstration.MODEL).out.splitlines()
     figures = dict(line.split("  ", 1) for line in lines)

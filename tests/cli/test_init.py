@@ -113,6 +113,13 @@ def test_faulty_meshes_are_refused_with_their_fault(init, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_file_of_another_kind_is_named(init, meshes):
+    (meshes / "sky.hdr").write_bytes(b"#?RADIANCE")
+    code, _, err = init("sky.hdr", "--material", "wax")
+    assert code == 1
+    assert "sky.hdr: expected a mesh (MESH), found a picture" in err
+
+
 def test_an_existing_scene_is_kept(init, tmp_path):
     (tmp_path / "ball.toml").write_text("mine")
     code, _, err = init("ball.obj", "--material", "wax")

@@ -15,6 +15,8 @@ from formats.mesh import build_mesh, flipped, read_mesh, write_mesh
 from prt_bake.cli.main import main as prtbake
 from prt_bake.cli.making import steps
 from prt_bake.cli.making.make import make
+from prt_bake.cli.shared import signals
+from prt_bake.cli.shared.next_step import say_next
 
 SECONDS = {"train": 840.0, "bake": 200.0, "picture": 8.0, "turntable": 20.0}
 
@@ -54,6 +56,7 @@ class Kitchen:
         output.with_name("model.train.pt").write_bytes(b"state")
         self.finish("train", output, minutes, resume)
         output.with_name("model.report.html").write_text("report")
+        say_next("prtbake", "bake", output)
 
     def bake(
         self,
@@ -133,7 +136,8 @@ def test_the_steps_share_the_time(kitchen, capsys):
     assert "![picture.png](picture.png)" in page
     captured = capsys.readouterr()
     assert captured.out.startswith("out/summary.md: error of the coefficients ")
-    assert captured.err.endswith("next: prtbake view out/asset.h5\n")
+    assert "next: prtbake view out/asset.h5" in captured.err.splitlines()[-1]
+    assert captured.err.count("next: ") == 1
 
 
 def test_finished_steps_are_not_done_again(kitchen, capsys):
@@ -188,6 +192,15 @@ def test_the_exit_code_of_a_step_stops_the_rest(kitchen, monkeypatch):
     assert summary()["steps"] == []
 
 
+def test_a_step_that_ends_well_after_ctrl_c_is_not_finished(kitchen, monkeypatch):
+    monkeypatch.setattr(signals, "_received", [])
+    monkeypatch.setattr(kitchen, "finish", lambda *_: signals.record(2))
+    with pytest.raises(SystemExit) as stopped:
+        kitchen.app(args=["make", "wax.toml", "-o", "out"])
+    assert stopped.value.code == 130
+    assert summary()["steps"] == []
+
+
 def test_what_the_time_is_over_for_is_left_out(kitchen, capsys):
     kitchen.seconds |= {"train": 1150.0, "bake": 130.0, "picture": 60.0}
     calls = kitchen.run("wax.toml", "-o", "out")
@@ -234,9 +247,28 @@ def test_a_mesh_gets_a_scene_in_the_folder(kitchen, capsys):
 def test_what_would_fail_later_is_refused_at_once(kitchen):
     with pytest.raises(typer.BadParameter, match="--material and --size are for meshes"):
         kitchen.run("wax.toml", "-o", "out", "--material", "jade")
+    with pytest.raises(PrtbakeError, match=r"asset\.h5: expected a scene or a mesh \(SCENE\), found an asset"):
+        kitchen.run(kitchen.asset, "-o", "out")
     with pytest.raises(PrtbakeError, match=r"missing\.hdr: there is no such file"):
         kitchen.run("wax.toml", "-o", "out", "--light", "missing.hdr")
     write_mesh(flipped(read_mesh("ball.obj")), "ball.obj")
     with pytest.raises(PrtbakeError, match=r"ball\.obj: the faces are wound inside out; flip the normals"):
         kitchen.run("wax.toml", "-o", "out")
     assert kitchen.calls == []
+
+
+@pytest.mark.statistics
+@pytest.mark.usefixtures("compiled_kernels")
+def test_a_mesh_becomes_an_asset_and_pictures(tmp_path, monkeypatch, capsys):
+    """The real commands, on a ball of 42 vertices."""
+    monkeypatch.chdir(tmp_path)
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    write_mesh(build_mesh(ball.vertices, ball.faces), tmp_path / "ball.obj")
+    command = ["make", "ball.obj", "-o", "out", "--material", "jade", "--size", "5cm", "--minutes", "1"]
+    assert prtbake(command) == 0
+    assert {"model.pt", "asset.h5", "picture.png", "summary.md"} <= {path.name for path in Path("out").iterdir()}
+    assert summary()["figures"]["errors"]["total"][0] < 0.5
+    assert [step["name"] for step in summary()["steps"]] == ["train", "bake", "picture", "turntable", "compress"]
+    capsys.readouterr()
+    assert prtbake(command) == 0
+    assert "train: done already" in capsys.readouterr().err

@@ -209,6 +209,17 @@ WRONG: dict[str, tuple[Callable[[], Any], str]] = {
         "normals: expected an array of numbers, found the text 'a'",
     ),
     "degree of": (lambda: prt.sh.degree_of("9"), "count must be a whole number, found the text '9'"),
+    "evaluate long": (
+        lambda: NETWORK.evaluate(UP, X, [[0, 0, 5.0]]),
+        "outgoing: expected unit vectors, found one of length 5",
+    ),
+    "class": (lambda: bake(transport=Lobed), r"transport: expected an object, found the class Lobed; give Lobed\(…\)"),
+    "scheduler": (lambda: bake(scheduler=3), "scheduler: expected a text, found 3"),
+    "srgb nan": (lambda: prt.srgb([[np.nan, 0, 0]]), "image: expected numbers, found 1 that are NaN"),
+    "from trimesh": (
+        lambda: prt.Mesh.from_trimesh("a.obj"),
+        "mesh: expected a mesh of trimesh, found the text 'a.obj'",
+    ),
     "bound to a path": (lambda: NETWORK.on("a.obj"), r"mesh: expected what prt.read_mesh\(path\) returns"),
 }
 

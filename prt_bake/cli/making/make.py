@@ -1,8 +1,6 @@
 """`prtbake make`: a scene to an asset and its pictures, in a given time."""
 
 import os
-import shlex
-import sys
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,6 +9,7 @@ import typer
 
 from formats.errors import MeshError
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
+from prt_bake.cli.shared.next_step import say_next_of_asset
 from prt_bake.cli.shared.options import within
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
@@ -73,7 +72,7 @@ def make(
     record.write()
     write_page(record)
     print(f"{folder / PAGE}: error of the coefficients {record.figures['error of the coefficients']}")
-    print(f"next: {shlex.join(['prtbake', 'view', str(folder / ASSET)])}", file=sys.stderr)
+    say_next_of_asset(folder / ASSET)
 
 
 def _scene_file(scene: Path, folder: Path, material: str | None, size: str | None, force: bool) -> Path:

@@ -17,6 +17,8 @@ import typer
 from formats.errors import PrtbakeError
 from formats.journal import journal_folder
 from prt_bake.cli.making.record import ASSET, COMPACT, MODEL, PICTURE, TURNTABLE, Record, model_files
+from prt_bake.cli.shared import signals
+from prt_bake.cli.shared.next_step import without_next
 from prt_bake.cli.shared.progress import in_words, reporting, say
 from prt_bake.network.file_names import state_path
 
@@ -145,9 +147,10 @@ class Steps:
                 shutil.rmtree(journal_folder(path), ignore_errors=True)
         began = time.monotonic()
         words = [*arguments, *(resume or [])]
-        # Without the standalone mode a command returns its exit code, such as 130 after Ctrl-C.
-        code = self._root.main(args=words, prog_name="prtbake", obj=_text(words), standalone_mode=False)
-        if code:
+        with without_next():
+            # Without the standalone mode a command returns its exit code, such as 130 after Ctrl-C.
+            code = self._root.main(args=words, prog_name="prtbake", obj=_text(words), standalone_mode=False)
+        if code or (code := signals.exit_code(0)):  # a command that was stopped may end as if it were finished
             raise typer.Exit(code)
         self._record.add(name, _text(arguments), time.monotonic() - began, files)
 

@@ -3,13 +3,29 @@
 import os
 import shlex
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
+_silent = False
+
 
 def say_next(*words: object) -> None:
-    """Print a command on stderr, with quotes where the shell needs them."""
-    print(f"next: {shlex.join(map(str, words))}", file=sys.stderr, flush=True)
+    """Print a command on stderr, with quotes where the shell needs them; nothing inside `without_next`."""
+    if not _silent:
+        print(f"next: {shlex.join(map(str, words))}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def without_next() -> Iterator[None]:
+    """Context of a command that runs others, and goes on to the next one itself."""
+    global _silent
+    _silent = True
+    try:
+        yield
+    finally:
+        _silent = False
 
 
 def say_next_of_asset(asset: Path) -> None:
