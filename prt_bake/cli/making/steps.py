@@ -1,6 +1,6 @@
 """The steps of `prtbake make`, and how they share its time.
 
-Training takes 70 % of the time, the bake what is left until 90 %, pictures and compression the rest.
+Training takes 60 % of the time, the bake what is left until 85 %, pictures and compression the rest.
 """
 
 import math
@@ -22,7 +22,7 @@ from prt_bake.cli.shared.next_step import without_next
 from prt_bake.cli.shared.progress import in_words, reporting, say
 from prt_bake.network.file_names import state_path
 
-TRAINING, REST = 0.7, 0.1
+TRAINING, REST = 0.6, 0.15
 """Shares of the time for the training, and for all that follows the bake."""
 _LEAST_SHARE, _LEAST_SECONDS = 0.1, 30.0
 """Time that the bake has at least, however long the training took: its first pass must end, or nothing is written."""
@@ -45,7 +45,7 @@ class Steps:
     """Runs the steps that a folder does not have yet."""
 
     def __init__(self, context: typer.Context, record: Record, scene: Path, mesh: Path, lights: list[str]) -> None:
-        """`record.settings` has the time in minutes. Later runs have what the finished steps left, at least a tenth."""
+        """`record.settings` has the time in minutes. Later runs have what finished steps left, or a part."""
         self._root = context.find_root().command
         self._record, self._scene, self._mesh, self._lights = record, scene, mesh, lights
         self._total = 60.0 * float(record.settings["minutes"])
