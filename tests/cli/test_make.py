@@ -26,7 +26,7 @@ class Kitchen:
 
     def __init__(self, asset):
         self.asset, self.seconds, self.now = asset, dict(SECONDS), 0.0
-        self.calls, self.broken, self.slow = [], "", False
+        self.calls, self.broken, self.slow, self.frame = [], "", False, 4.0
         self.app = typer.Typer()
         for command in (make, self.train, self.bake, self.shade):
             self.app.command(command.__name__)(command)
@@ -110,6 +110,7 @@ def kitchen(asset, tmp_path, monkeypatch):
     assert prtbake(["init", "ball.obj", "--material", "wax", "--size", "5cm", "-o", "wax.toml"]) == 0
     cook = Kitchen(asset)
     monkeypatch.setattr(steps, "time", SimpleNamespace(monotonic=lambda: cook.now))
+    monkeypatch.setattr(steps, "_frame_seconds", lambda asset, lights: cook.frame)
     return cook
 
 
@@ -124,7 +125,7 @@ def test_the_steps_share_the_time(kitchen, capsys):
     assert calls[1][1:] == (0.02, 5.0, False)  # 20 minutes less 12 of training and 3 for the rest
     assert calls[2][2].endswith("sky.hdr")
     assert calls[2][3] == "sun:0.6,0.6,-0.6:2,1.9,1.7:3"
-    assert calls[3][1] == 34  # frames: half of the 272 s that are left, each of half the time of the picture
+    assert calls[3][1] == 34  # frames: half of the 272 s that are left, 4 s each
     found = summary()
     assert [step["name"] for step in found["steps"]] == ["train", "bake", "picture", "turntable", "compress"]
     assert found["seconds"] == sum(SECONDS.values())
@@ -202,7 +203,8 @@ def test_a_step_that_ends_well_after_ctrl_c_is_not_finished(kitchen, monkeypatch
 
 
 def test_what_the_time_is_over_for_is_left_out(kitchen, capsys):
-    kitchen.seconds |= {"train": 1150.0, "bake": 130.0, "picture": 64.0}
+    kitchen.seconds |= {"train": 1150.0, "bake": 130.0}
+    kitchen.frame = 32.0
     calls = kitchen.run("wax.toml", "-o", "out")
     assert calls[1][2] == 2.0  # the bake has a tenth of the time, however long the training took
     assert [call[0] for call in calls] == ["train", "bake", "picture"]
@@ -212,7 +214,7 @@ def test_what_the_time_is_over_for_is_left_out(kitchen, capsys):
     assert not Path("out/compact.h5").exists()
     kitchen.seconds["turntable"] = 100.0
     assert kitchen.run("wax.toml", "-o", "out") == []  # what a later run has at least is less than 8 frames take
-    kitchen.seconds["picture"] = 8.0
+    kitchen.frame = 4.0
     Path("out/picture.png").unlink()
     assert [call[0] for call in kitchen.run("wax.toml", "-o", "out")] == ["picture", "turntable"]
     assert Path("out/compact.h5").exists()

@@ -31,9 +31,8 @@ _OVERRUN = 0.05
 _BAKE_ERROR, _COMPRESSION_ERROR = 0.02, 0.005
 _COARSE = ("--rings", "4", "--sectors", "8", "--samples", "18", "--lobes", "0")
 """A bake that takes seconds, for slow machines whose time is over before an adaptive bake has its first pass."""
+_PICTURE_SIDE, _TURNTABLE_SIDE = 512, 384
 _FRAMES = (8, 36)
-_FRAME = 0.5
-"""Time of a frame, of which a picture takes more: it is larger, and the asset is read for it."""
 _FRAMES_A_SECOND = 12
 
 
@@ -98,13 +97,18 @@ class Steps:
             self._run("bake", [*arguments, *_COARSE], [ASSET])
 
     def _picture(self) -> None:
-        self._run("picture", self._shade(PICTURE, 512), [PICTURE])
+        self._run("picture", self._shade(PICTURE, _PICTURE_SIDE), [PICTURE])
 
     def _turntable(self) -> None:
-        picture = self._record.finished("picture")
-        seconds = 1.0 if picture is None else _FRAME * picture.seconds
+        seconds = _frame_seconds(Path(self._file(ASSET)), self._lights)
         frames = math.floor(min(_FRAMES[1], 0.5 * self._left() / max(seconds, 1e-3)))
-        arguments = [*self._shade(TURNTABLE, 384), "--turntable", "eye", "--frames", str(max(frames, _FRAMES[0]))]
+        arguments = [
+            *self._shade(TURNTABLE, _TURNTABLE_SIDE),
+            "--turntable",
+            "eye",
+            "--frames",
+            str(max(frames, _FRAMES[0])),
+        ]
         arguments += ["--seconds", f"{max(frames, _FRAMES[0]) / _FRAMES_A_SECOND:.3g}"]
         if _FRAMES[0] * seconds > self._left() + _OVERRUN * self._total:
             self._skip("turntable", arguments)
@@ -166,6 +170,21 @@ class Steps:
 
     def _left(self) -> float:
         return self._deadline - time.monotonic()
+
+
+def _frame_seconds(asset: Path, lights: list[str]) -> float:
+    """Return the time of one frame of the turntable, measured; the picture before it has compiled what it needs."""
+    from formats.asset import read_asset
+    from prt_bake.geometry import camera
+    from prt_bake.lights.lighting import read_lighting
+    from prt_bake.shading.picture import render_picture
+
+    baked = read_asset(asset)
+    lighting = read_lighting(lights, baked.up, mesh=baked.mesh)
+    view = camera.fit(baked.mesh, _TURNTABLE_SIDE, _TURNTABLE_SIDE, up=baked.up)
+    began = time.monotonic()
+    render_picture(baked, lighting, view, reflection=True)
+    return time.monotonic() - began
 
 
 def _is_complete(asset: Path) -> bool:
