@@ -1,6 +1,7 @@
 """`prtbake train`: path traces a scene and fits a model to it."""
 
 import time
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -133,14 +134,12 @@ def train(
         if network.metadata["training"]["stopped"]:
             raise PrtbakeError(f"{output}: the training was stopped; the model is written, and --resume continues it")
         reported = False
-        try:
+        with suppress(KeyboardInterrupt), nullcontext() if budget is None else budget.counting_compilation():
             if with_report:
                 module = with_importance and own_lobes(network) is None
                 reported = after_training.report(network, read, output, seed, budget, module)
             if with_importance:
                 after_training.importance(network, read, output, seed, budget)
-        except KeyboardInterrupt:
-            pass
         if not reported:
             print(f"{output}: {after_training.verdict_of(network)}")
         if stop():

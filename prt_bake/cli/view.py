@@ -104,6 +104,7 @@ def view(
             raise QueryError(f"view: {_WITHOUT_DISPLAY}")
         plotter.show(auto_close=False, interactive=False)
         opened = _open(reading.result(), options, off_screen)
+    print(f"{asset}: error of the coefficients {opened.preview.asset.error}")
     for remark in _remarks(opened.preview):
         say(f"{asset}: {remark}")
     _show(window, plotter, opened, asset.name, screenshot, compare)

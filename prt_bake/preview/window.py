@@ -71,19 +71,6 @@ class Window:
             self.plotter.iren.create_timer(TICK)
             self.plotter.show()
 
-    def show_in_notebook(self, backend: str) -> Any:
-        """Return the window as PyVista's Jupyter backend displays it. Suns are refined after each movement."""
-        self._preview.load()
-        self.settle()
-        self.plotter.iren.style.add_observer("EndInteractionEvent", lambda *_: self.settle())
-        return self.plotter.show(jupyter_backend=backend, return_viewer=True)
-
-    def settle(self) -> None:
-        """Refine the picture and draw it with antialiased edges."""
-        self.view.smooth(True)
-        self.view.refine()
-        self.render()
-
     def render(self) -> None:
         """Draw the picture, texts and sliders."""
         self.plotter.render()
@@ -118,9 +105,7 @@ class Window:
         sliders = [slider for slider in (self.rotation, self.exposure) if slider.GetEnabled()]
         for slider in sliders:
             slider.Off()
-        self.view.update()
-        self.view.smooth(True)
-        self.view.refine()
+        self.view.settle()
         self._saving = True
         try:
             write_picture(path, self.view.picture())

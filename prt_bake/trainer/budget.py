@@ -57,9 +57,10 @@ class Budget:
         self.earlier = 0.0
         """Seconds of earlier runs, which a resumed run continues."""
         self.extension = 0.0
-        """Seconds that are added because kernels were compiled."""
-        self._cpu = time.process_time()
+        """Seconds that are added because kernels were compiled before learning."""
+        self._compiled = self._counted = 0.0
         self._compilation: Any = None
+        self._cpu = time.process_time()
         self._chosen = (1, report, importance)
         self._divide()
 
@@ -80,7 +81,7 @@ class Budget:
     @property
     def left(self) -> float:
         """Seconds until the end of the run."""
-        return max(0.0, self.total + self.extension - self.spent)
+        return max(0.0, self._length - self.spent)
 
     @contextmanager
     def counting_compilation(self) -> Iterator[None]:
@@ -88,18 +89,27 @@ class Budget:
         from numba.core.event import TimingListener, install_listener
 
         self._compilation = TimingListener()  # type: ignore[no-untyped-call]
-        with install_listener("numba:compile", self._compilation):
-            yield
+        try:
+            with install_listener("numba:compile", self._compilation):
+                yield
+        finally:
+            self._compiled, self._compilation = self.compiling, None
 
     @property
     def compiling(self) -> float:
         """Seconds in which kernels were compiled."""
-        return float(self._compilation.duration) if self._compilation and self._compilation.done else 0.0
+        now = self._compilation
+        return self._compiled + (float(now.duration) if now is not None and now.done else 0.0)
+
+    @property
+    def _length(self) -> float:
+        """Seconds of the run: kernels that are compiled after learning make it longer."""
+        return self.total + self.extension + max(0.0, self.compiling - self._counted)
 
     @property
     def share(self) -> float:
         """The share of the time that is over."""
-        return min(1.0, self.spent / (self.total + self.extension))
+        return min(1.0, self.spent / self._length)
 
     @property
     def validation(self) -> float:
@@ -112,8 +122,9 @@ class Budget:
         The parts after it get more time where other programs have slowed down the parts before it.
         """
         self._divide()
+        self._counted = self.compiling
         after = self._figures + self._report + self._importance
-        left = self.total + self.extension - self.spent - after
+        left = self._length - self.spent - after
         kept = min(left + self.compiling, _LEARNING * self.total - learned)
         self.extension += max(0.0, kept - left)
         return max(left, kept, _LEAST_LEARNING * self.total - learned, 0.0)

@@ -60,13 +60,12 @@ def test_ctrl_c_in_the_report_leaves_out_the_rest(
     prtbake: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*_: Any, **__: Any) -> None:
-
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(1.0)
 
     monkeypatch.setattr(report, "assess", interrupted)
     trained = prtbake("train", "scene.toml", "-o", tmp_path / "m.pt", "--steps", 2)
-    assert trained.code == 1
+    assert trained.code == 130
     assert "no report: stopped; to write it later, run 'prtbake report training " in trained.err
     assert "the model is complete, and what should follow it was stopped" in trained.err
     assert {path.name for path in tmp_path.iterdir()} == {"m.pt", "m.train.pt"}

@@ -12,7 +12,7 @@ from formats.samples.writer import SamplesWriter
 from prt_bake.cli.shared import after_training
 from prt_bake.tracer.estimate import estimate_transport
 from prt_bake.tracer.prepared import prepare
-from prt_bake.trainer import train
+from prt_bake.trainer import training_data
 from prt_bake.trainer.offline import split_by_key
 from prt_bake.trainer.report import picture, report
 from prt_bake.trainer.samples.queries import QuerySource
@@ -205,7 +205,7 @@ def test_files_that_do_not_fit_are_refused(scene, file, tmp_path):
 @pytest.fixture
 def short_runs(monkeypatch):
     """Shortens training, report and importance module."""
-    monkeypatch.setattr(train, "LearningSettings", lambda: BRIEF)
+    monkeypatch.setattr(training_data, "LearningSettings", lambda: BRIEF)
     monkeypatch.setattr(after_training, "_LEAST_SECONDS", 0.1)
     brief = functools.partial(report.report_training, queries=64, vertices=16)
     monkeypatch.setattr(report, "report_training", brief)

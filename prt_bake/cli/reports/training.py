@@ -10,7 +10,7 @@ from formats.extras import EVALUATE, require
 from prt_bake.cli.shared.kinds import refuse_other_kinds
 from prt_bake.cli.shared.options import Seed
 from prt_bake.cli.shared.outputs import check_outputs
-from prt_bake.cli.shared.progress import say
+from prt_bake.cli.shared.progress import reporting
 from prt_bake.network.file_names import report_paths
 
 
@@ -43,10 +43,17 @@ def training(
     from prt_bake.trainer.report.summary import criterion_line
 
     network, given = load_model(model), read_scene(scene)
-    say("path tracing fresh queries")
-    measured, page = report_training(
-        network, given, model, seconds=seconds, queries=queries, vertices=vertices, seed=seed
-    )
+    with reporting("report") as show:
+        measured, page = report_training(
+            network,
+            given,
+            model,
+            seconds=seconds,
+            queries=queries,
+            vertices=vertices,
+            seed=seed,
+            follow=lambda share: show(share, "comparing with the path tracer"),
+        )
     for row in measured["criteria"]:
         print(criterion_line(row))
     print(f"{page}: {measured['summary'][0]}")

@@ -1,6 +1,5 @@
 """Steps after a training: the report and the importance module. A failure of either is printed; the model is kept."""
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -103,14 +102,11 @@ def importance(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int, 
 
 def verdict_of(network: "NeuralBSSRDF") -> str:
     """The verdict on the final errors of a training."""
-    from prt_bake.mathematics.noise_free import Interval
+    from prt_bake.trainer.report.summary import final_error
     from prt_bake.trainer.report.verdict import verdict
 
     training = network.metadata["training"]
-    found = training["relative_rmse"]
-    value, ends = found["coefficients"], found["coefficients_interval"]
-    error = Interval(math.nan if value is None else value, *(ends or (math.nan, math.nan)))
-    return verdict(error, training["seconds"] / 60.0, training["walks"])
+    return verdict(final_error(training["relative_rmse"]), training["seconds"] / 60.0, training["walks"])
 
 
 def show_part(show: Report, text: str, share: float, budget: "Budget | None") -> None:

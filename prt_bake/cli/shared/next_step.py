@@ -30,11 +30,14 @@ def without_next() -> Iterator[None]:
 
 def say_next_of_asset(asset: Path) -> None:
     """Print the command that shows an asset: in a window, without a display in a file, without PyVista by `shade`."""
+    picture = asset.with_suffix(".png")
+    if picture.exists():
+        picture = asset.with_name(f"{asset.stem}.view.png")
     if not all(map(find_spec, ("pyvista", "vtkmodules"))):
         from prt_bake.shipped.examples import example
 
-        say_next("prtbake", "shade", asset, "--light", example("sky.hdr"), "-o", asset.with_suffix(".png"))
+        say_next("prtbake", "shade", asset, "--light", example("sky.hdr"), "-o", picture)
     elif sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-        say_next("prtbake", "view", asset, "--screenshot", asset.with_suffix(".png"))
+        say_next("prtbake", "view", asset, "--screenshot", picture)
     else:
         say_next("prtbake", "view", asset)

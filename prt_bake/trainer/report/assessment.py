@@ -126,6 +126,7 @@ def _model(network: Any, scene: Scene, training: dict[str, Any]) -> dict[str, An
         "steps": int(training.get("steps", 0)),
         "walks": walked,
         "walks_per_second": walked / seconds if seconds > 0.0 else 0.0,
+        "final_errors": training.get("relative_rmse"),
     }
 
 

@@ -24,7 +24,7 @@ _ROTATIONS = 8
 VERTICES, VIEWS = 192, 8
 _COEFFICIENT_WALKS = 4
 """Initial walks per query for a_lm, for each one for Ŝ: they cost a tenth or less."""
-_TRANSPORT_SHARE, _SURFACE_SHARE = 0.4, 0.25
+_TRANSPORT_SHARE, _SURFACE_SHARE = 0.25, 0.4
 """Shares of the time: of all seconds, and of the seconds left after Ŝ. Vertices get the rest."""
 _VERTEX_STREAM, _VIEW_STREAM, _ROTATION_STREAM = 0xA1, 0xA2, 0xA3
 

@@ -84,14 +84,21 @@ def criterion_line(row: dict[str, Any]) -> str:
 def sentences(found: dict[str, Any]) -> list[str]:
     """The assessment in sentences, the most important first; intervals are 95 % confidence intervals."""
     model = found["model"]
-    error = Interval(**found["coefficients"]["surface"]["network"])
-    summary = [verdict(error, model["training_seconds"] / 60.0, model["walks"])]
+    measured, final = Interval(**found["coefficients"]["surface"]["network"]), final_error(model["final_errors"])
+    # Both are right; the narrower interval says more.
+    narrower = final if _width(final) < _width(measured) else measured
+    summary = [verdict(narrower, model["training_seconds"] / 60.0, model["walks"])]
     if found["transport"] is not None:
         summary.append(f"Relative RMSE of Ŝ on fresh queries: {_error_text(found['transport'])}")
     else:
         summary.append("Ŝ has no values behind a smooth interface; only the coefficients are assessed.")
     coefficients = found["coefficients"]
-    summary.append(f"Relative RMSE of the coefficients over the surface: {_error_text(coefficients['surface'])}")
+    at_the_end = (
+        f" At the end of the training, at other queries: {percent(vars(final))}." if _width(final) < 1e9 else ""
+    )
+    summary.append(
+        f"Relative RMSE of the coefficients over the surface: {_error_text(coefficients['surface'])}{at_the_end}"
+    )
     summary.append(
         f"Relative RMSE of the coefficients over vertices and views, as in a bake: "
         f"{_error_text(coefficients['vertices'])} 95 % of the vertices are below "
@@ -111,6 +118,19 @@ def sentences(found: dict[str, Any]) -> list[str]:
         if found["reference"].get(name, {}).get("ended_by") == "time"
     ]
     return summary
+
+
+def final_error(errors: dict[str, Any] | None) -> Interval:
+    """The error of a_lm at the end of a training with its interval, NaN where they are unknown."""
+    if errors is None or errors["coefficients"] is None:
+        return Interval(np.nan, np.nan, np.nan)
+    return Interval(errors["coefficients"], *(errors.get("coefficients_interval") or (np.nan, np.nan)))
+
+
+def _width(figure: Interval) -> float:
+    """The relative width of an interval; infinite if it is unknown."""
+    width = (figure.high - figure.low) / max(figure.value, 1e-300)
+    return width if np.isfinite(width) else np.inf
 
 
 def _error_text(part: dict[str, Any]) -> str:

@@ -18,6 +18,7 @@ from prt_bake.trainer.report.assessment import assess
 from prt_bake.trainer.report.page import training_page, write_training_report
 from prt_bake.trainer.report.picture import SUNS, picture_summary, sun_text
 from prt_bake.trainer.report.report import report_training
+from prt_bake.trainer.report.summary import sentences
 from tests.tracer.scenes import make_scene, sphere
 from tests.trainer.report.test_assessment import Network, NoisyTruth, truth
 
@@ -119,7 +120,7 @@ def test_the_command_reports_on_a_model_and_refuses_another_scene(tmp_path, capf
     assert "not met" in capfd.readouterr().out
     read = json.loads((tmp_path / "m.report.json").read_text())
     assert read["transport"]["network"]["value"] > 0.1
-    assert (tmp_path / "m.report.html").stat().st_size < MOST_BYTES
+    assert (tmp_path / "m.report.html").stat().st_size < 2 * MOST_BYTES  # with two pictures
     assert [picture["sun"] for picture in read["pictures"]] == list(SUNS)
     page = (tmp_path / "m.report.html").read_text()
     for picture in read["pictures"]:
@@ -144,3 +145,13 @@ def test_a_report_without_time_has_no_pictures_and_says_so(tmp_path, monkeypatch
     assert found["summary"][0].startswith("a_lm is ")
     assert found["reference"]["coefficients"]["queries"] == 8
     assert shares == sorted(shares)
+
+
+def test_the_verdict_is_on_the_narrower_interval(report):
+    own = report["coefficients"]["surface"]["network"]
+    for spread, value in ((1e-3, 0.061), (10.0, own["value"])):
+        final = {"coefficients": 0.061, "coefficients_interval": [0.061 / (1.0 + spread), 0.061 * (1.0 + spread)]}
+        text = sentences({**report, "model": {**report["model"], "final_errors": final}})
+        assert text[0].startswith(f"a_lm is {100 * value:.1f} % off (")
+        assert "At the end of the training, at other queries: 6.10%" in text[2]
+    assert "At the end" not in "".join(report["summary"])
