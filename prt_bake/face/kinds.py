@@ -88,11 +88,6 @@ def device(name: str, value: Any) -> str:
     )
 
 
-def device_or_auto(name: str, value: Any) -> str:
-    """A device, or "auto": CUDA where it exists."""
-    return "auto" if isinstance(value, str) and value == "auto" else device(name, value)
-
-
 def function(name: str, value: Any) -> Any:
     """A function to call."""
     if not callable(value):
@@ -275,6 +270,7 @@ OF_FUNCTION: dict[tuple[str, str], Check] = {
     ("shade", "suns"): suns,
     ("write_image", "layers"): dictionary,
     ("train", "samples"): arguments.path,
-    ("train", "device"): device_or_auto,
+    ("train", "device"): text,
+    ("estimate_coefficients", "device"): text,
 }
-"""Arguments whose name has another meaning in one function."""
+"""Arguments whose name has another meaning in one function. Those that path trace find their GPU by other means."""
