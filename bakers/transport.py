@@ -139,7 +139,7 @@ def prepared(transport: Any, precision: str, device: str) -> Any:
     """
     if hasattr(transport, "prepared"):
         return transport.prepared(precision=precision, device=device)
-    if precision != "float32" or device != "cpu":
+    if precision != "float32" or device not in ("cpu", getattr(transport, "device", "cpu")):
         raise QueryError(
             f"{type(transport).__name__} can only be baked with precision float32 on the cpu, "
             f"found {precision} on {device}; those are for networks"

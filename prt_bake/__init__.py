@@ -86,6 +86,8 @@ __all__ = [
     "write_mesh",
 ]
 
+__version__: str
+
 # Public name → (module, name in it); an empty name is the module itself.
 _ORIGIN = {
     "Asset": ("formats.asset", "Asset"),

@@ -7,6 +7,7 @@ import pytest
 
 import prt_bake as prt
 from formats.errors import QueryError
+from tests.bakers.transports import Lobed
 from tests.shading.test_picture import constant, front, make_asset
 from tests.shapes import ball
 
@@ -26,7 +27,7 @@ LIGHT = np.zeros((9, 3))
         (lambda: prt.compare("a.exr", constant()), "image", "read_image"),
         (lambda: prt.compare(constant(), "b.exr"), "reference", "read_image"),
         (lambda: prt.bake("spot.pt", ASSET.mesh), "transport", "load_model"),
-        (lambda: prt.bake(lambda *_: None, "spot.obj"), "mesh", "read_mesh"),
+        (lambda: prt.bake(Lobed(), "spot.obj"), "mesh", "read_mesh"),
         (lambda: prt.render_scene("spot.toml", constant(), front()), "scene", "load_scene"),
         (lambda: prt.train("spot.toml"), "scene", "load_scene"),
     ],

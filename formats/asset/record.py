@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from formats.asset.lobes import Lobes
 from formats.asset.total_error import ErrorInterval, TotalError
 from formats.mesh import Mesh
 from formats.summary import summary
+
+if TYPE_CHECKING:
+    import pyvista
 
 Storage = Literal["float16", "float32"]
 
@@ -121,7 +124,7 @@ class Asset(AssetHead):
         whole = None if bake is None else math.hypot(bake, compression)
         return TotalError(self.network_error, whole, "walks" in self.provenance)
 
-    def to_pyvista(self, light: Any = None, eye: Any = None) -> Any:
+    def to_pyvista(self, light: Any = None, eye: Any = None) -> "pyvista.PolyData":
         """Return the mesh as `pyvista.PolyData` with the radiance of a light, for notebooks and other plotters.
 
         Args:
@@ -146,14 +149,13 @@ class Asset(AssetHead):
         return to_pyvista(self, light, eye)
 
     def show(self, light: Any = None, eye: Any = None) -> Any:
-        """Show the window of `prtbake view`; in a notebook, draw it with PyVista's backend.
+        """Show the window of `prtbake view`; in a notebook, return a picture above sliders for the light and the eye.
 
         Args:
             light: the path of a light as for `--light`, or a `prt.Lighting`; the shipped sky by default.
             eye: the first position of the camera [3]; by default that of `prt.fit_camera`.
 
-        In a notebook the window can be orbited, and its light rotated by a slider, if `trame-pyvista` and `ipywidgets`
-        are installed; otherwise this is a picture.
+        Without `ipywidgets` a notebook shows a picture alone.
 
         Raises PrtbakeError if PyVista or a display is missing, and what `prt.read_lighting` raises.
         """

@@ -4,18 +4,20 @@ import dataclasses
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.errors import MeshError, warn
+from formats.arguments import described
+from formats.errors import MeshError, QueryError, warn
 from formats.mesh import creases, geometry
 from formats.mesh.edges import edges_of, inside_out, two_sided_faces
 from formats.mesh.normals import refuse_wrong_side
 from formats.summary import summary
 
 if TYPE_CHECKING:
+    import pyvista
     import trimesh
 
 SPLIT_ANGLE = 30.0
@@ -101,6 +103,8 @@ class Mesh:
         >>> prt.Mesh.from_trimesh(trimesh.creation.icosphere(subdivisions=0)).faces.shape
         (20, 3)
         """
+        if not all(hasattr(mesh, each) for each in ("vertices", "faces", "vertex_normals")):
+            raise QueryError(f"mesh: expected a mesh of trimesh, found {described(mesh)}")
         if not len(mesh.faces):
             raise MeshError("mesh: expected faces, found none in the trimesh mesh")
         built = build_mesh(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces))
@@ -175,7 +179,7 @@ class Mesh:
             return self.corner_uv is None
         return np.array_equal(self.uv[self.faces], self.corner_uv)
 
-    def to_pyvista(self) -> Any:
+    def to_pyvista(self) -> "pyvista.PolyData":
         """Return the mesh as `pyvista.PolyData`, with the vertex normals in the array "Normals".
 
         Raises PrtbakeError if PyVista is not installed.

@@ -38,6 +38,7 @@ from prt_bake.baking.plan import plan
 from prt_bake.baking.pruning.pruning import ITEMS, choose_pruning
 from prt_bake.jit.limits import limited_threads
 from prt_bake.mathematics import sphere
+from prt_bake.tracer.gpu.availability import require_walks_on
 
 __all__ = ["ITEMS", "Light", "Progress", "bake", "choose_effort", "plan"]
 
@@ -146,7 +147,8 @@ def bake(
     refuse_path("transport", transport, "prt.load_model")
     refuse_path("mesh", mesh, "prt.read_mesh")
     if isinstance(transport, Scene):
-        transport = PathTraced(transport)
+        require_walks_on(device)
+        transport = PathTraced(transport, "cpu" if device == "cpu" else "cuda")
     refuse_unusable(
         mesh, degree=degree, rings=rings, sectors=sectors, samples=samples, error=error, minutes=minutes, seed=seed,
         workers=workers, leave_out=leave_out, lobes=lobes, directions=directions, precision=precision, storage=storage,

@@ -27,5 +27,8 @@ def check(
     for remark in find_remarks(file):
         print(f"remark: {remark}")
     print(f"{file}: sound")
-    if kind_of(file) == "scene":
+    kind = kind_of(file)
+    if kind == "mesh":
+        say_next("prtbake", "init", file, "--material", "jade")
+    if kind == "scene":
         say_next("prtbake", "train", file, "-o", file.with_suffix(".pt").name)

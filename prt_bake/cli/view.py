@@ -1,6 +1,7 @@
 """`prtbake view`: shows a baked asset in a window with free camera and light."""
 
 import os
+import signal
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -10,6 +11,7 @@ import typer
 
 from formats.errors import QueryError
 from formats.extras import require
+from prt_bake.cli.shared import signals
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.options import (
     USUAL_FOV,
@@ -104,6 +106,7 @@ def view(
             raise QueryError(f"view: {_WITHOUT_DISPLAY}")
         plotter.show(auto_close=False, interactive=False)
         opened = _open(reading.result(), options, off_screen)
+    print(f"{asset}: error of the coefficients {opened.preview.asset.error}")
     for remark in _remarks(opened.preview):
         say(f"{asset}: {remark}")
     _show(window, plotter, opened, asset.name, screenshot, compare)
@@ -176,7 +179,10 @@ def _show(window: Any, plotter: Any, opened: _Opened, name: str, screenshot: Pat
         window.write_picture(screenshot, scene_view.picture())
         print(f"{screenshot}: {start.width}x{start.height} pixels")
     else:
-        window.Window(scene_view, name, None if compare is None else compare.name).run()
+        shown = window.Window(scene_view, name, None if compare is None else compare.name)
+        shown.run()
+        if shown.interrupted:
+            signals.record(signal.SIGINT)
     plotter.close()
 
 

@@ -1,6 +1,8 @@
-"""Checks of an asset and of its light, which need no torch."""
+"""Checks of an asset, its light and the eye, which need no torch."""
 
 from typing import Any
+
+import numpy as np
 
 from formats import arguments
 from formats.errors import QueryError
@@ -24,3 +26,13 @@ def light_of_vertices(name: str, value: Any) -> Any:
             f"such as those of suns_apart (.harmonics) or project_environment, found {arguments.described(value)}"
         )
     return arguments.numbers(name, value)
+
+
+def point(name: str, value: Any) -> Any:
+    """A point, or directions to it."""
+    if isinstance(value, str):
+        raise QueryError(f"{name}: expected numbers such as [0, 1, 4], found {arguments.described(value)}")
+    array = arguments.numbers(name, value)
+    if array.shape == (3,) and not np.isfinite(array).all():
+        raise QueryError(f"{name}: expected three finite numbers, found {array.tolist()}")
+    return array

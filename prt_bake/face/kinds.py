@@ -1,5 +1,6 @@
 """The kind of each argument of a public function, by its name. A check returns the value in the type to work with."""
 
+import dataclasses
 import math
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
@@ -9,7 +10,7 @@ import numpy as np
 from formats import arguments
 from formats.errors import QueryError, refuse_path
 from formats.mesh import as_mesh
-from prt_bake.face.assets import asset, light_of_vertices
+from prt_bake.face.assets import asset, light_of_vertices, point
 
 Check = Callable[[str, Any], Any]
 
@@ -48,16 +49,6 @@ def camera(name: str, value: Any) -> Any:
     return value
 
 
-def point(name: str, value: Any) -> Any:
-    """A point, or directions to it."""
-    if isinstance(value, str):
-        raise QueryError(f"{name}: expected numbers such as [0, 1, 4], found {arguments.described(value)}")
-    array = arguments.numbers(name, value)
-    if array.shape == (3,) and not np.isfinite(array).all():
-        raise QueryError(f"{name}: expected three finite numbers, found {array.tolist()}")
-    return array
-
-
 def model(name: str, value: Any) -> Any:
     """A neural BSSRDF."""
     arguments.require(name, value, ("evaluate", "settings", "metadata"), "prt.load_model")
@@ -66,6 +57,8 @@ def model(name: str, value: Any) -> Any:
 
 def transport(name: str, value: Any) -> Any:
     """An object that evaluates Ŝ or estimates its coefficients."""
+    if isinstance(value, type):
+        raise QueryError(f"{name}: expected an object, found the class {value.__name__}; give {value.__name__}(…)")
     if hasattr(value, "evaluate") or hasattr(value, "evaluate_block") or hasattr(value, "estimate_coefficients"):
         return value
     refuse_path(name, value, "prt.load_model")
@@ -95,11 +88,6 @@ def device(name: str, value: Any) -> str:
     )
 
 
-def device_or_auto(name: str, value: Any) -> str:
-    """A device, or "auto": CUDA where it exists."""
-    return "auto" if isinstance(value, str) and value == "auto" else device(name, value)
-
-
 def function(name: str, value: Any) -> Any:
     """A function to call."""
     if not callable(value):
@@ -107,12 +95,85 @@ def function(name: str, value: Any) -> Any:
     return value
 
 
-def angle(name: str, value: Any) -> float:
-    """Finite degrees."""
-    degrees = arguments.real_number(name, value)
-    if not math.isfinite(degrees):
-        raise QueryError(f"{name}: expected a finite number of degrees, found {degrees}")
-    return degrees
+def finite(name: str, value: Any) -> float:
+    """A finite number."""
+    number = arguments.real_number(name, value)
+    if not math.isfinite(number):
+        raise QueryError(f"{name}: expected a finite number, found {number}")
+    return number
+
+
+def duration(name: str, value: Any) -> float:
+    """A time, which may be infinite."""
+    number = arguments.real_number(name, value)
+    if math.isnan(number):
+        raise QueryError(f"{name} must be a number, found nan")
+    return number
+
+
+def share(name: str, value: Any) -> float:
+    """A number from 0 to 1."""
+    number = arguments.real_number(name, value)
+    if not 0.0 <= number <= 1.0:
+        raise QueryError(f"{name}: expected a number from 0 to 1, found {number:g}")
+    return number
+
+
+def count(name: str, value: Any) -> int:
+    """A whole number of 1 or more."""
+    number = arguments.whole_number(name, value)
+    if number < 1:
+        raise QueryError(f"{name} must be at least 1, found {number}")
+    return number
+
+
+def suns(name: str, value: Any) -> Any:
+    """Directional lights."""
+    if isinstance(value, str):
+        return value  # refused by `shade`, which knows what was meant
+    lights = list(value) if hasattr(value, "__iter__") else [value]
+    if not all(hasattr(each, "irradiance") for each in lights):
+        raise QueryError(
+            f"{name}: expected directional lights, such as prt.suns_apart(lighting, degree).suns, found "
+            f"{arguments.described(value)}"
+        )
+    return value
+
+
+def coverage(name: str, value: Any) -> Any:
+    """Coverage of pixels, from 0 to 1."""
+    array = arguments.numbers(name, value)
+    if array.dtype.kind in "iu" and array.max(initial=0) > 1:
+        raise QueryError(f"{name}: expected coverage from 0 to 1, found {array.dtype} up to {array.max()}")
+    return array
+
+
+def names(name: str, value: Any) -> Any:
+    """Two names."""
+    if isinstance(value, str) or not hasattr(value, "__len__") or len(value) != 2:
+        raise QueryError(f"{name}: expected two names, found {arguments.described(value)}")
+    return value
+
+
+def text(name: str, value: Any) -> str:
+    """A text."""
+    if not isinstance(value, str):
+        raise QueryError(f"{name}: expected a text, found {arguments.described(value)}")
+    return value
+
+
+def importance(name: str, value: Any) -> Any:
+    """An importance module."""
+    if not hasattr(value, "lobe"):
+        raise QueryError(f"{name}: expected an importance module, found {arguments.described(value)}")
+    return value
+
+
+def settings(name: str, value: Any) -> Any:
+    """A record of settings."""
+    if not dataclasses.is_dataclass(value) or isinstance(value, type):
+        raise QueryError(f"{name}: expected a record of settings, found {arguments.described(value)}")
+    return value
 
 
 def collection(name: str, value: Any) -> Any:
@@ -176,14 +237,23 @@ KINDS: dict[str, Check] = {
     "device": device,
     "leave_out": collection,
     "provenance": dictionary,
+    "attributes": dictionary,
     **dict.fromkeys(("coefficients", "for_light"), coefficients),
     **dict.fromkeys(("image", "reference"), arguments.radiance),
     **dict.fromkeys(("eye", "target", "for_eye"), point),
-    **dict.fromkeys(("alpha", "positions", "outgoing", "incident", "origin"), arguments.numbers),
-    **dict.fromkeys(("degree", "rings", "sectors", "workers", "lobes", "most", "paths"), WHOLE),
-    **dict.fromkeys(("samples", "steps", "spp", "width", "height", "connections"), WHOLE),
-    **dict.fromkeys(("error", "minutes", "exposure", "fov", "extent", "scale", "every"), arguments.real_number),
-    **dict.fromkeys(("degrees", "rotate"), angle),
+    "alpha": coverage,
+    "roughness": share,
+    "names": names,
+    "scheduler": text,
+    "importance": importance,
+    **dict.fromkeys(("positions", "outgoing", "incident", "origin", "keys"), arguments.numbers),
+    **dict.fromkeys(("degree", "rings", "sectors", "lobes", "most", "paths", "samples", "steps"), WHOLE),
+    **dict.fromkeys(("spp", "width", "height", "most_rows"), WHOLE),
+    **dict.fromkeys(("workers", "connections", "turns"), count),
+    **dict.fromkeys(("error", "fov", "extent", "scale"), arguments.real_number),
+    **dict.fromkeys(("minutes", "every"), duration),
+    **dict.fromkeys(("degrees", "rotate", "exposure"), finite),
+    **dict.fromkeys(("settings", "learning"), settings),
     **dict.fromkeys(("path", "out", "output", "folder", "checkpoint"), arguments.path),
     **dict.fromkeys(("progress", "stop", "say", "preview"), function),
 }
@@ -197,7 +267,10 @@ OF_FUNCTION: dict[tuple[str, str], Check] = {
     ("render_network", "network"): transport,
     ("save_model", "network"): model,
     ("bake", "transport"): baked,
+    ("shade", "suns"): suns,
+    ("write_image", "layers"): dictionary,
     ("train", "samples"): arguments.path,
-    ("train", "device"): device_or_auto,
+    ("train", "device"): text,
+    ("estimate_coefficients", "device"): text,
 }
-"""Arguments whose name has another meaning in one function."""
+"""Arguments whose name has another meaning in one function. Those that path trace find their GPU by other means."""

@@ -115,11 +115,12 @@ def remark(light: Translucency, millimetres: float | None) -> str:
 
 def channels(values: Array) -> str:
     """Return three numbers as text, or one if they are equal to its digits; infinity is "unlimited"."""
-    texts = ["unlimited" if value == np.inf else _digits(float(value)) for value in values]
+    texts = ["unlimited" if value == np.inf else digits(float(value)) for value in values]
     return texts[0] if len(set(texts)) == 1 else ", ".join(texts)
 
 
-def _digits(value: float) -> str:
+def digits(value: float) -> str:
+    """Return a number with three digits, or more before the point."""
     return f"{value:,.0f}" if value >= 1000.0 else f"{value:.3g}"
 
 

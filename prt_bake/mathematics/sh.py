@@ -48,7 +48,7 @@ def count(degree: int) -> int:
 
 def degree_of(count: int) -> int:
     """Degree whose K = (degree + 1)² is `count`. Raises QueryError if `count` is not a square of 1 or more."""
-    root = math.isqrt(max(count, 0))
+    root = math.isqrt(max(whole_number("count", count), 0))
     if count < 1 or root * root != count:
         raise QueryError(f"number of harmonics: expected a square, 1, 4, 9, 16, …, found {count}")
     return root - 1

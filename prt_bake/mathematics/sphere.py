@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from formats.arguments import numbers, whole_number
 from formats.errors import QueryError
 from prt_bake.mathematics.directions import fibonacci, random_rotations, sobol, uniform
 
@@ -204,12 +205,12 @@ def _frame(
 
 
 def _vectors(vectors: ArrayLike, name: str) -> NDArray[np.float64]:
-    array = np.asarray(vectors, dtype=np.float64)
+    array = np.asarray(numbers(name, vectors), dtype=np.float64)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise QueryError(f"{name}: expected an array [..., 3], found shape {list(array.shape)}")
     return array
 
 
 def _require_bins(rings: int, sectors: int) -> None:
-    if rings < 1 or sectors < 1:
+    if whole_number("rings", rings) < 1 or whole_number("sectors", sectors) < 1:
         raise QueryError(f"view bins: expected at least 1 ring and 1 sector, found {rings} and {sectors}")

@@ -14,7 +14,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
-from formats.arguments import described, numbers
+from formats.arguments import described
 from formats.errors import ModelError, QueryError, warn
 from formats.mesh import Mesh, as_mesh
 from prt_bake.geometry.surface import Surface
@@ -23,6 +23,7 @@ from prt_bake.network.features.interior import Interior
 from prt_bake.network.features.view_features import ViewEncoding, ViewFeatures
 from prt_bake.network.features.view_path import Body, ViewPath, path_through
 from prt_bake.network.lobes import LOBE_PARAMETERS, Lobes, decode_lobes, evaluate_lobes
+from prt_bake.network.queries import float64_tensor, queries
 from prt_bake.network.settings import EXIT_INPUTS, NetworkSettings
 from prt_bake.network.surface_check import OwnSurface
 
@@ -310,25 +311,16 @@ class NetworkCore(nn.Module):
 
         Runs `radiance` in batches, and is the reference for `evaluate_block`.
         """
-        device = self.frequencies.device
-        x, eye, light = (
-            float64_tensor(vectors if isinstance(vectors, Tensor) else numbers(name, vectors), device)
-            for name, vectors in (("positions", positions), ("outgoing", outgoing), ("incident", incident))
-        )
-        if x.ndim != 2 or x.shape != eye.shape or light.ndim not in (2, 3) or {x.shape[-1], light.shape[-1]} != {3}:
-            shapes = ", ".join(str(list(each.shape)) for each in (light, x, eye))
-            raise QueryError(f"incident [D,3] or [N,D,3], positions [N,3] and outgoing [N,3]: found shapes {shapes}")
+        light, x, eye = queries(incident, positions, outgoing, self.frequencies.device)
         count = x.shape[0]
-        if light.ndim == 3 and light.shape[0] != count:
-            raise QueryError(f"incident: expected [D,3] or [{count},D,3], found {list(light.shape)}")
         light = light.expand(count, *light.shape[-2:]) if light.ndim == 2 else light
         directions = light.shape[1]
         result = np.empty((count, directions, 3), dtype=np.float32)
         columns = min(directions, ROWS_PER_BATCH)
-        queries = max(1, ROWS_PER_BATCH // max(1, columns))
+        at_once = max(1, ROWS_PER_BATCH // max(1, columns))
         with torch.inference_mode():
-            for n in range(0, count, queries):
-                rows = slice(n, n + queries)
+            for n in range(0, count, at_once):
+                rows = slice(n, n + at_once)
                 for d in range(0, directions, columns):
                     radiance = self.radiance(light[rows, d : d + columns], x[rows], eye[rows])
                     result[rows, d : d + columns] = radiance.float().cpu().numpy()
@@ -352,14 +344,6 @@ class NetworkCore(nn.Module):
         axes, sharpness, peaks = (torch.cat(part).double().cpu().numpy() for part in zip(*parts, strict=True))
         integrals = 2.0 * np.pi * -np.expm1(-2.0 * sharpness) / sharpness
         return axes, sharpness, peaks * self.output_scale * integrals[..., None]
-
-
-def float64_tensor(vectors: ArrayLike | Tensor, device: torch.device) -> Tensor:
-    """The numbers in float64 on `device`."""
-    if isinstance(vectors, Tensor):
-        return vectors.detach().to(device, torch.float64)
-    # A copy: torch does not support read-only arrays.
-    return torch.from_numpy(np.array(vectors, dtype=np.float64)).to(device)
 
 
 def _linear_of_parts(layer: Any, parts: list[Tensor]) -> Tensor:

@@ -2,7 +2,7 @@
 
 import os
 from importlib import resources
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,15 +16,18 @@ from prt_bake.lights.lighting import Lighting, as_lighting, read_lighting
 from prt_bake.shading.asset_light import AssetLight, light_for
 from prt_bake.shading.vertices import shade
 
+if TYPE_CHECKING:
+    import pyvista
+
 Light = str | os.PathLike[str] | Lighting | AssetLight | ArrayLike | None
 
 
-def to_pyvista(asset: Asset, light: Light = None, eye: ArrayLike | None = None) -> Any:
+def to_pyvista(asset: Asset, light: Light = None, eye: ArrayLike | None = None) -> "pyvista.PolyData":
     """Return the asset's mesh with its radiance; `Asset.to_pyvista` describes it."""
+    mesh = polydata(asset.mesh.positions, asset.mesh.faces, asset.mesh.normals)
     if eye is None:
         eye = camera.fit(asset.mesh, up=asset.up).eye
     radiance = shade(asset, _prepared(asset, light), eye)
-    mesh = polydata(asset.mesh.positions, asset.mesh.faces, asset.mesh.normals)
     mesh.point_data["radiance"] = radiance.astype(np.float32)
     mesh.point_data["rgb"] = np.rint(255.0 * to_srgb(radiance)).astype(np.uint8)
     mesh.set_active_scalars("rgb")
@@ -41,7 +44,8 @@ def _prepared(asset: Asset, light: Light) -> Any:
     if asset.quantity == "radiance" or isinstance(light, AssetLight):
         return light
     if light is None or isinstance(light, str | os.PathLike):
-        light = read_lighting([os.fspath(light or shipped_sky())], asset.up, say=warn, mesh=asset.mesh)
-    if isinstance(light, Lighting) or np.ndim(light) == 3:
+        path = shipped_sky() if light is None else os.fspath(light)
+        light = read_lighting([path], asset.up, say=warn, mesh=asset.mesh)
+    if isinstance(light, Lighting) or getattr(light, "ndim", 2) == 3:
         return light_for(asset, as_lighting(light, asset.up, 0.0))
     return light

@@ -15,8 +15,7 @@ from prt_bake.preview.lights import LightSource
 from prt_bake.preview.polydata import shipped_sky
 from prt_bake.preview.state import Preview
 
-_SIZE = 960, 720
-_NEEDED_BY_SERVER = "trame_pyvista", "ipywidgets"
+_SIZE = 800, 600
 
 
 def show(asset: Asset, light: str | os.PathLike[str] | Lighting | None = None, eye: ArrayLike | None = None) -> Any:
@@ -34,10 +33,10 @@ def show(asset: Asset, light: str | os.PathLike[str] | Lighting | None = None, e
             "show: there is no display for the window; asset.to_pyvista() draws with any plotter, such as "
             "pyvista.Plotter(off_screen=True)"
         )
-    window = Window(View(preview, plotter, start), "asset")
+    view = View(preview, plotter, start)
     if plotter.notebook:
-        return window.show_in_notebook(_backend())
-    window.run()
+        return _controls(view)
+    Window(view, "asset").run()
     return None
 
 
@@ -55,7 +54,15 @@ def _sources(asset: Asset, light: str | os.PathLike[str] | Lighting | None) -> l
     return [LightSource(text, asset.up, asset.degree, say=warn, mesh=asset.mesh)]
 
 
-def _backend() -> str:
-    """Return PyVista's backend that draws on the server, as the shaders need, or else a picture."""
-    found = all(importlib.util.find_spec(name) is not None for name in _NEEDED_BY_SERVER)
-    return "server" if found else "static"
+def _controls(view: Any) -> Any:
+    """Return the sliders and their picture, or the picture alone if ipywidgets is not installed."""
+    view.preview.load()
+    view.plotter.show(auto_close=False, jupyter_backend="none")
+    if importlib.util.find_spec("ipywidgets") is None:
+        from PIL import Image
+
+        view.settle()
+        return Image.fromarray(view.picture())
+    from prt_bake.preview.notebook import controls
+
+    return controls(view)

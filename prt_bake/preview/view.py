@@ -25,6 +25,7 @@ class View:
 
     Attributes:
         plotter: the PyVista plotter.
+        start: the initial camera.
         showing_reference: whether the reference picture is shown.
         changed: time of the last change by `time.monotonic`.
     """
@@ -38,7 +39,7 @@ class View:
     ) -> None:
         """start: the initial camera, with the size of the plotter."""
         self.preview, self.plotter = preview, plotter
-        self._start = start
+        self.start = start
         self._object, self._sky = Object(preview.asset.mesh, preview.interface), Sky()
         self._reference = None if reference is None else Reference(reference)
         self.showing_reference = False
@@ -74,10 +75,10 @@ class View:
     def reset_camera(self) -> None:
         """Return to the initial camera."""
         camera = self.plotter.camera
-        camera.position = self._to_vtk(self._start.eye)
-        camera.focal_point = self._to_vtk(self._start.target)
-        camera.up = self._start.up
-        camera.view_angle = self._start.fov
+        camera.position = self._to_vtk(self.start.eye)
+        camera.focal_point = self._to_vtk(self.start.target)
+        camera.up = self.start.up
+        camera.view_angle = self.start.fov
 
     def toggle_reference(self) -> None:
         """Toggle between the object and the reference picture."""
@@ -103,6 +104,12 @@ class View:
     def unrefined(self) -> bool:
         """Whether the refinement is unfinished."""
         return not self.showing_reference and self.preview.unrefined(self.eye)
+
+    def settle(self) -> None:
+        """Refine the view as it is now, with antialiased edges, until something moves."""
+        self.update()
+        self.smooth(True)
+        self.refine()
 
     def picture(self) -> NDArray[np.uint8]:
         """Draw the window and return its pixels, sRGB [H,W,3], row 0 on top."""

@@ -54,6 +54,7 @@ class Window:
         self._message_time = -math.inf
         self._scale: Scale | None = None
         self._interrupted: Callable[[], bool] = lambda: False
+        self.interrupted = False
         self._connect()
         self.rotation = self._slider((-180.0, 180.0), 0, self._preview.rotate_to)
         self.exposure = self._slider((-MOST_EXPOSURE, MOST_EXPOSURE), 1, self._preview.set_exposure)
@@ -62,7 +63,7 @@ class Window:
         self._update_texts()
 
     def run(self) -> None:
-        """Show the window until the user closes it or presses Ctrl-C."""
+        """Show the window until the user closes it or presses Ctrl-C, which sets `interrupted`."""
         # A KeyboardInterrupt inside VTK's event loop would end the process with VTK's own message.
         with interrupt_flag() as self._interrupted:
             self.plotter.iren.initialize()
@@ -70,19 +71,7 @@ class Window:
             self._preview.load_in_background()
             self.plotter.iren.create_timer(TICK)
             self.plotter.show()
-
-    def show_in_notebook(self, backend: str) -> Any:
-        """Return the window as PyVista's Jupyter backend displays it. Suns are refined after each movement."""
-        self._preview.load()
-        self.settle()
-        self.plotter.iren.style.add_observer("EndInteractionEvent", lambda *_: self.settle())
-        return self.plotter.show(jupyter_backend=backend, return_viewer=True)
-
-    def settle(self) -> None:
-        """Refine the picture and draw it with antialiased edges."""
-        self.view.smooth(True)
-        self.view.refine()
-        self.render()
+            self.interrupted = self._interrupted()
 
     def render(self) -> None:
         """Draw the picture, texts and sliders."""
@@ -118,9 +107,7 @@ class Window:
         sliders = [slider for slider in (self.rotation, self.exposure) if slider.GetEnabled()]
         for slider in sliders:
             slider.Off()
-        self.view.update()
-        self.view.smooth(True)
-        self.view.refine()
+        self.view.settle()
         self._saving = True
         try:
             write_picture(path, self.view.picture())

@@ -24,8 +24,8 @@ class PictureError:
     """The relative RMSE of the object's radiance in a picture, part by part; None for what is unknown.
 
     Attributes:
-        network: of the network compared with path tracing, as the trainer measured it on coefficients, over the whole
-            surface and all views: an upper estimate under wide light, which averages over coefficients.
+        network: of the network compared with path tracing, as the trainer measured it on the coefficients of the whole
+            surface and all views.
         bake: of the coefficients compared with what was baked.
         views: of the interpolation between view bins.
         noise: of reflected rays; 0 without a reflection.

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bakers.transport import prepared
 from formats.asset import Asset
 from formats.errors import InputWarning, QueryError
 from formats.mesh import Mesh, build_mesh, flipped
@@ -46,6 +47,14 @@ def nested(folder: Path) -> Scene:
 def baked(scene: Scene, mesh: Mesh = COARSE, degree: int = 2, **settings: Any) -> Asset:
     settings = {"rings": RINGS, "sectors": SECTORS, "samples": WALKS} | settings
     return bake(PathTraced(scene), mesh, degree, **settings)
+
+
+def test_walks_on_a_gpu_are_prepared_for_it(tmp_path: Path) -> None:
+    traced = PathTraced(matched(tmp_path), "cuda")
+    assert prepared(traced, "float32", "cuda") is traced
+    traced.device = "cpu"
+    with pytest.raises(QueryError, match="only be baked with precision float32 on the cpu, found float32 on cuda"):
+        prepared(traced, "float32", "cuda")
 
 
 def estimated(scene: Scene, asset: Asset, degree: int) -> Estimate:

@@ -27,6 +27,9 @@ def meshes(tmp_path_factory):
     )
     write_mesh(build_mesh(surface.positions, surface.faces[:-2]), folder / "open.ply")
     write_mesh(flipped(surface), folder / "inverted.ply")
+    turned = surface.faces[:-2].copy()
+    turned[0] = turned[0, ::-1]
+    write_mesh(build_mesh(surface.positions, turned), folder / "torn.ply")
     return folder
 
 
@@ -51,7 +54,10 @@ def test_a_scene_has_the_size_and_the_material(init, tmp_path):
     reduced = np.array(jade.sigma_s_reduced) + jade.sigma_a
     np.testing.assert_allclose(scene.sigma_t * extent, 140 * reduced, rtol=1e-6)
     assert (scene.eta, scene.roughness, scene.normals, scene.up) == (1.6, 0.15, "vertex", "y")
-    assert out == ("green stone.toml: ball.obj in jade, 140 mm long, 44.7, 62.2, 44.7 transport mean free paths\n")
+    assert out == (
+        "green stone.toml: ball.obj in jade, 140 mm long, 45.5 to 62.3 transport mean free paths (about 5 to 50 look "
+        "translucent)\n"
+    )
     assert "jade is an estimate: chosen for" in err
     assert err.endswith("next: prtbake make 'green stone.toml' -o 'green stone'\n")
     assert not find_faults(tmp_path / "green stone.toml")
@@ -98,10 +104,20 @@ def test_faulty_meshes_are_refused_with_their_fault(init, tmp_path):
     code, _, err = init("open.ply", "--material", "wax")
     assert code == 1
     assert "open.ply: 4 edges are open" in err
+    code, _, err = init("torn.ply", "--material", "wax")
+    assert code == 1
+    assert err.endswith(" (and 1 more: `prtbake check` lists them)\n")
     code, _, err = init("inverted.ply", "--material", "wax")
     assert code == 1
     assert "inverted.ply: the faces are wound inside out; flip the normals" in err
     assert not list(tmp_path.iterdir())
+
+
+def test_a_file_of_another_kind_is_named(init, meshes):
+    (meshes / "sky.hdr").write_bytes(b"#?RADIANCE")
+    code, _, err = init("sky.hdr", "--material", "wax")
+    assert code == 1
+    assert "sky.hdr: expected a mesh (MESH), found a picture" in err
 
 
 def test_an_existing_scene_is_kept(init, tmp_path):

@@ -55,6 +55,8 @@ def kinds(folder: Path, tmp_path: Path, prtbake: Run, monkeypatch: pytest.Monkey
         ("compare asset.h5 sky.exr", "make a picture of it first: prtbake shade asset.h5"),
         ("light sphere.ply", "expected a picture or a lights file (ENVIRONMENT), found a mesh"),
         ("export model.pt -o a", "expected a scene (SCENE), found a model"),
+        ("init scene.toml --material jade -o b.toml", "expected a mesh (MESH), found a scene"),
+        ("make model.pt -o a", "expected a scene or a mesh (SCENE), found a model; it is trained already"),
         ("report training scene.toml model.pt", "expected a model (MODEL), found a scene"),
         ("report bake asset.h5 sphere.ply", "expected a model or a scene (SOURCE), found an asset"),
         ("report bases model.pt sphere.ply --light scene.toml", "expected a picture (--light), found a scene"),

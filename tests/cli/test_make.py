@@ -15,8 +15,10 @@ from formats.mesh import build_mesh, flipped, read_mesh, write_mesh
 from prt_bake.cli.main import main as prtbake
 from prt_bake.cli.making import steps
 from prt_bake.cli.making.make import make
+from prt_bake.cli.shared import signals
+from prt_bake.cli.shared.next_step import say_next
 
-SECONDS = {"train": 840.0, "bake": 200.0, "picture": 4.0, "turntable": 20.0}
+SECONDS = {"train": 720.0, "bake": 200.0, "picture": 8.0, "turntable": 20.0}
 
 
 class Kitchen:
@@ -24,7 +26,7 @@ class Kitchen:
 
     def __init__(self, asset):
         self.asset, self.seconds, self.now = asset, dict(SECONDS), 0.0
-        self.calls, self.broken, self.slow = [], "", False
+        self.calls, self.broken, self.slow, self.frame = [], "", False, 4.0
         self.app = typer.Typer()
         for command in (make, self.train, self.bake, self.shade):
             self.app.command(command.__name__)(command)
@@ -54,6 +56,7 @@ class Kitchen:
         output.with_name("model.train.pt").write_bytes(b"state")
         self.finish("train", output, minutes, resume)
         output.with_name("model.report.html").write_text("report")
+        say_next("prtbake", "bake", output)
 
     def bake(
         self,
@@ -107,6 +110,7 @@ def kitchen(asset, tmp_path, monkeypatch):
     assert prtbake(["init", "ball.obj", "--material", "wax", "--size", "5cm", "-o", "wax.toml"]) == 0
     cook = Kitchen(asset)
     monkeypatch.setattr(steps, "time", SimpleNamespace(monotonic=lambda: cook.now))
+    monkeypatch.setattr(steps, "_frame_seconds", lambda asset, lights: cook.frame)
     return cook
 
 
@@ -117,28 +121,30 @@ def summary():
 def test_the_steps_share_the_time(kitchen, capsys):
     calls = kitchen.run("wax.toml", "-o", "out", "--minutes", "20")
     assert [call[0] for call in calls] == ["train", "bake", "picture", "turntable"]
-    assert calls[0][1:] == (14.0, False)
-    assert calls[1][1:] == (0.02, 4.0, False)  # 20 minutes less 14 of training and 2 for the rest
+    assert calls[0][1:] == (12.0, False)
+    assert calls[1][1:] == (0.02, 5.0, False)  # 20 minutes less 12 of training and 3 for the rest
     assert calls[2][2].endswith("sky.hdr")
-    assert calls[3][1] == 19  # frames: half of the 156 s that are left, 4 s each
+    assert calls[2][3] == "sun:0.6,0.6,-0.6:2,1.9,1.7:3"
+    assert calls[3][1] == 34  # frames: half of the 272 s that are left, 4 s each
     found = summary()
     assert [step["name"] for step in found["steps"]] == ["train", "bake", "picture", "turntable", "compress"]
     assert found["seconds"] == sum(SECONDS.values())
     assert found["steps"][0]["files"].keys() == {"model.pt", "model.report.html"}
     assert found["figures"]["vertices"] == 42
     page = Path("out/summary.md").read_text()
-    assert "    prtbake train wax.toml -o out/model.pt --minutes 14\n" in page
+    assert "    prtbake train wax.toml -o out/model.pt --minutes 12\n" in page
     assert "    prtbake bake out/model.pt ball.obj -o out/asset.h5 --workers" in page
     assert "![picture.png](picture.png)" in page
     captured = capsys.readouterr()
     assert captured.out.startswith("out/summary.md: error of the coefficients ")
-    assert captured.err.endswith("next: prtbake view out/asset.h5\n")
+    assert "next: prtbake view out/asset.h5" in captured.err.splitlines()[-1]
+    assert captured.err.count("next: ") == 1
 
 
 def test_finished_steps_are_not_done_again(kitchen, capsys):
     kitchen.run("wax.toml", "-o", "out", "--light", "sun:0,1,0")
     assert kitchen.run("wax.toml", "-o", "out", "--light", "sun:0,1,0") == []
-    assert "train: done already, in 14:00 min" in capsys.readouterr().err
+    assert "train: done already, in 12:00 min" in capsys.readouterr().err
     Path("out/asset.h5").unlink()
     calls = kitchen.run("wax.toml", "-o", "out", "--light", "sun:0,1,0")
     assert [call[0] for call in calls] == ["bake", "picture", "turntable"]
@@ -151,7 +157,7 @@ def test_a_stopped_training_is_resumed(kitchen, capsys):
         kitchen.run("wax.toml", "-o", "out")
     assert "train was not finished; the same `prtbake make` continues there" in capsys.readouterr().err
     kitchen.broken = ""
-    assert kitchen.run("wax.toml", "-o", "out")[0] == ("train", 14.0, True)
+    assert kitchen.run("wax.toml", "-o", "out")[0] == ("train", 12.0, True)
 
 
 def test_a_stopped_bake_is_resumed_with_the_same_time(kitchen):
@@ -161,16 +167,16 @@ def test_a_stopped_bake_is_resumed_with_the_same_time(kitchen):
     kitchen.broken, kitchen.seconds["bake"] = "", 100.0
     calls = kitchen.run("wax.toml", "-o", "out")
     assert [call[0] for call in calls] == ["bake", "picture", "turntable"]
-    assert calls[0] == ("bake", 0.02, 4.0, True)
+    assert calls[0] == ("bake", 0.02, 5.0, True)
     assert "--resume" not in Path("out/summary.md").read_text()
 
 
 def test_a_bake_that_is_too_slow_is_coarse(kitchen, capsys):
     kitchen.slow = True
     calls = kitchen.run("wax.toml", "-o", "out")
-    assert calls[1:3] == [("bake", 0.02, 4.0, False), ("bake", 4, 0.0, False)]
+    assert calls[1:3] == [("bake", 0.02, 5.0, False), ("bake", 4, 0.0, False)]
     assert (
-        "bake: not all vertices were ready after 4 minutes; a coarse bake follows, of fewer views"
+        "bake: not all vertices were ready after 5 minutes; a coarse bake follows, of fewer views"
         in capsys.readouterr().err
     )
     assert "--rings 4 --sectors 8 --samples 18" in summary()["steps"][1]["command"]
@@ -187,8 +193,18 @@ def test_the_exit_code_of_a_step_stops_the_rest(kitchen, monkeypatch):
     assert summary()["steps"] == []
 
 
+def test_a_step_that_ends_well_after_ctrl_c_is_not_finished(kitchen, monkeypatch):
+    monkeypatch.setattr(signals, "_received", [])
+    monkeypatch.setattr(kitchen, "finish", lambda *_: signals.record(2))
+    with pytest.raises(SystemExit) as stopped:
+        kitchen.app(args=["make", "wax.toml", "-o", "out"])
+    assert stopped.value.code == 130
+    assert summary()["steps"] == []
+
+
 def test_what_the_time_is_over_for_is_left_out(kitchen, capsys):
-    kitchen.seconds |= {"train": 1150.0, "bake": 130.0, "picture": 30.0}
+    kitchen.seconds |= {"train": 1150.0, "bake": 130.0}
+    kitchen.frame = 32.0
     calls = kitchen.run("wax.toml", "-o", "out")
     assert calls[1][2] == 2.0  # the bake has a tenth of the time, however long the training took
     assert [call[0] for call in calls] == ["train", "bake", "picture"]
@@ -197,8 +213,8 @@ def test_what_the_time_is_over_for_is_left_out(kitchen, capsys):
     assert "| compress | 0 s | left out, since the time was over |" in Path("out/summary.md").read_text()
     assert not Path("out/compact.h5").exists()
     kitchen.seconds["turntable"] = 100.0
-    assert kitchen.run("wax.toml", "-o", "out") == []  # a tenth of the time is no more than 8 frames take
-    kitchen.seconds["picture"] = 4.0
+    assert kitchen.run("wax.toml", "-o", "out") == []  # what a later run has at least is less than 8 frames take
+    kitchen.frame = 4.0
     Path("out/picture.png").unlink()
     assert [call[0] for call in kitchen.run("wax.toml", "-o", "out")] == ["picture", "turntable"]
     assert Path("out/compact.h5").exists()
@@ -233,9 +249,28 @@ def test_a_mesh_gets_a_scene_in_the_folder(kitchen, capsys):
 def test_what_would_fail_later_is_refused_at_once(kitchen):
     with pytest.raises(typer.BadParameter, match="--material and --size are for meshes"):
         kitchen.run("wax.toml", "-o", "out", "--material", "jade")
+    with pytest.raises(PrtbakeError, match=r"asset\.h5: expected a scene or a mesh \(SCENE\), found an asset"):
+        kitchen.run(kitchen.asset, "-o", "out")
     with pytest.raises(PrtbakeError, match=r"missing\.hdr: there is no such file"):
         kitchen.run("wax.toml", "-o", "out", "--light", "missing.hdr")
     write_mesh(flipped(read_mesh("ball.obj")), "ball.obj")
     with pytest.raises(PrtbakeError, match=r"ball\.obj: the faces are wound inside out; flip the normals"):
         kitchen.run("wax.toml", "-o", "out")
     assert kitchen.calls == []
+
+
+@pytest.mark.statistics
+@pytest.mark.usefixtures("compiled_kernels")
+def test_a_mesh_becomes_an_asset_and_pictures(tmp_path, monkeypatch, capsys):
+    """The real commands, on a ball of 42 vertices."""
+    monkeypatch.chdir(tmp_path)
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    write_mesh(build_mesh(ball.vertices, ball.faces), tmp_path / "ball.obj")
+    command = ["make", "ball.obj", "-o", "out", "--material", "jade", "--size", "5cm", "--minutes", "1"]
+    assert prtbake(command) == 0
+    assert {"model.pt", "asset.h5", "picture.png", "summary.md"} <= {path.name for path in Path("out").iterdir()}
+    assert summary()["figures"]["errors"]["total"][0] < 0.5
+    assert [step["name"] for step in summary()["steps"]] == ["train", "bake", "picture", "turntable", "compress"]
+    capsys.readouterr()
+    assert prtbake(command) == 0
+    assert "train: done already" in capsys.readouterr().err

@@ -37,9 +37,16 @@ def test_an_asset_is_shown_by_what_is_installed(
     assert line[4:] == ["-o", "a.png"]
 
 
+def test_a_picture_that_exists_is_not_the_next_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.png").write_text("")
+    say_next_of_asset(tmp_path / "a.h5")
+    assert str(tmp_path / "a.png") not in _next(capsys.readouterr().err)
+
+
 @pytest.mark.parametrize(
     ("line", "successor"),
     [
+        ("check sphere.ply", "init sphere.ply --material jade"),
         ("check scene.toml", "train scene.toml -o scene.pt"),
         ("sample scene.toml --count 2 -o {}/s.h5", "train scene.toml --samples {}/s.h5 -o scene.pt"),
         ("render scene.toml sphere.ply --light sky.exr --size 4x4 --spp 2 -o {}/a.exr", "compare IMAGE {}/a.exr"),

@@ -55,7 +55,8 @@ def test_shade_reports_its_treatment_of_suns(prtbake: Run, tmp_path: Path, treat
     lights = ["--light", "sky.exr", "--light", "sun:1,1,-1:3,3,3:0.53"]
     done = prtbake("shade", "asset.h5", *lights, "-o", tmp_path / "a.exr", "--size", "16x12", "--suns", treatment)
     assert done.code == 0, done.err
-    assert (message in done.out) if message else (" sun" not in done.out)
+    assert (message in done.out) if message else (" sun " not in done.out)
+    assert "suns unknown)" in done.out
     calm = prtbake("shade", "asset.h5", "--light", "sky.exr", "-o", tmp_path / "b.exr", "--size", "16x12")
     assert " sun" not in calm.out
 

@@ -117,7 +117,7 @@ WRONG: dict[str, tuple[Callable[[], Any], str]] = {
         r"coefficients: expected coefficients of shape \[K, 3\], .*found an",
     ),
     "turned text": (lambda: prt.rotate_light(LIGHT, "90"), "degrees must be a number, found the text '90'"),
-    "turned nan": (lambda: prt.rotate_light(LIGHT, np.nan), "degrees: expected a finite number of degrees, found nan"),
+    "turned nan": (lambda: prt.rotate_light(LIGHT, np.nan), "degrees: expected a finite number, found nan"),
     "asset model": (lambda: shade(NETWORK), "asset: expected an asset, found a model; bake it first: prt.bake"),
     "asset mesh": (lambda: shade(MESH), r"asset: expected what prt.read_asset\(path\) returns, found a mesh"),
     "asset none": (lambda: prt.compress(None, 0.1), "asset: .* found None"),
@@ -163,7 +163,6 @@ WRONG: dict[str, tuple[Callable[[], Any], str]] = {
         r"scene: expected what prt.load_scene\(path\)",
     ),
     "train mesh": (lambda: prt.train(MESH), "scene: .* found a mesh"),
-    "train device": (lambda: prt.train(MESH, device="tpu"), "scene: .* found a mesh"),
     "render network": (lambda: prt.render_network(None, MESH, SKY, CAMERA), "network: .* found None"),
     "model path": (lambda: prt.load_model(3), "path: expected the path of a file, found 3"),
     "mesh of trimesh": (lambda: prt.read_mesh(BALL), "path: .* found a trimesh mesh; prt.Mesh.from_trimesh"),
@@ -187,6 +186,40 @@ WRONG: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: NETWORK.evaluate("a", X, UP),
         "incident: expected an array of numbers, found the text 'a'",
     ),
+    "turns": (lambda: prt.fit_camera(MESH, 8, 8, turns=0), "turns must be at least 1, found 0"),
+    "suns": (lambda: prt.shade(ASSET, LIGHT, X[0], suns=[UP]), "suns: expected directional lights, .* found a list"),
+    "roughness": (
+        lambda: prt.render_picture(ASSET, SKY, CAMERA, roughness=2),
+        "roughness: expected a number from 0 to 1",
+    ),
+    "names": (lambda: prt.compare(SKY, SKY, names="ab"), "names: expected two names, found the text 'ab'"),
+    "bake nan": (lambda: bake(minutes=np.nan), "minutes must be a number, found nan"),
+    "importance": (
+        lambda: prt.render_network(NETWORK, MESH, SKY, CAMERA, importance="a"),
+        "importance: expected an importance module, found the text 'a'",
+    ),
+    "alpha": (
+        lambda: prt.write_image("a.png", SKY, alpha=BYTES[..., 0]),
+        "alpha: expected coverage from 0 to 1, found uint8 up to 200",
+    ),
+    "layers": (lambda: prt.write_image("a.exr", SKY, layers=[1]), "layers: expected a dictionary, found a list"),
+    "bins": (lambda: prt.sphere.view_bins(2.0, 4), "rings must be a whole number, found 2.0"),
+    "frame of text": (
+        lambda: prt.sphere.tangent_frame("a"),
+        "normals: expected an array of numbers, found the text 'a'",
+    ),
+    "degree of": (lambda: prt.sh.degree_of("9"), "count must be a whole number, found the text '9'"),
+    "evaluate long": (
+        lambda: NETWORK.evaluate(UP, X, [[0, 0, 5.0]]),
+        "outgoing: expected unit vectors, found one of length 5",
+    ),
+    "class": (lambda: bake(transport=Lobed), r"transport: expected an object, found the class Lobed; give Lobed\(…\)"),
+    "scheduler": (lambda: bake(scheduler=3), "scheduler: expected a text, found 3"),
+    "srgb nan": (lambda: prt.srgb([[np.nan, 0, 0]]), "image: expected numbers, found 1 that are NaN"),
+    "from trimesh": (
+        lambda: prt.Mesh.from_trimesh("a.obj"),
+        "mesh: expected a mesh of trimesh, found the text 'a.obj'",
+    ),
     "bound to a path": (lambda: NETWORK.on("a.obj"), r"mesh: expected what prt.read_mesh\(path\) returns"),
 }
 
@@ -204,6 +237,10 @@ def test_a_camera_and_a_device_are_checked_before_a_scene_is_traced(scene: prt.S
         prt.render_scene(scene, SKY, None)
     with pytest.raises(PrtbakeError, match=r"device: expected 'cpu'.* found 'tpu'"):
         prt.train(scene, device="tpu")
+    with pytest.raises(PrtbakeError, match="settings: expected a record of settings, found the text 'x'"):
+        prt.train(scene, settings="x")
+    with pytest.raises(PrtbakeError, match="minutes must be a number, found nan"):
+        prt.train(scene, minutes=np.nan)
 
 
 def test_arguments_of_other_libraries_are_taken() -> None:

@@ -1,4 +1,4 @@
-"""The notebooks are stored without output, run without errors or warnings, and leave no files."""
+"""The notebooks are stored with their outputs, run without errors or warnings, and leave no files."""
 
 import re
 from pathlib import Path
@@ -8,6 +8,7 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
+import prt_bake as prt
 from tests import ROOT
 
 pytestmark = pytest.mark.statistics
@@ -26,18 +27,44 @@ def code_of(notebook: Any) -> list[Any]:
     return [cell for cell in notebook.cells if cell.cell_type == "code"]
 
 
+def shows(cell: Any) -> bool:
+    return re.search(r"^(?:plt\.show|show)\(", cell.source, re.MULTILINE) is not None
+
+
+def has_picture(cell: Any) -> bool:
+    return any("image/png" in output.get("data", {}) for output in cell.outputs)
+
+
 def test_all_notebooks_exist() -> None:
     assert [path.stem for path in PATHS] == ["1_harmonics", "2_relight", "3_error_against_time", "4_own_object"]
 
 
-def test_a_notebook_is_stored_without_output(path: Path) -> None:
+def test_a_notebook_is_stored_with_its_outputs(path: Path) -> None:
+    """Run `python -m tests.notebooks.store` after a change."""
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
-    stored = [cell for cell in code_of(notebook) if cell.outputs or cell.execution_count is not None]
-    assert [cell.source for cell in stored] == []
+    cells = code_of(notebook)
+    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
+    assert [cell.source for cell in cells if shows(cell) and not has_picture(cell)] == []
+    kinds = {output.get("name", output.output_type) for cell in cells for output in cell.outputs}
+    assert kinds <= {"stdout", "display_data", "execute_result"}
     assert set(notebook.metadata) == {"kernelspec", "language_info"}
     assert notebook.metadata.kernelspec.name == "python3"
     assert [dict(cell.metadata) for cell in notebook.cells if cell.metadata] == []
+
+
+def test_stored_outputs_are_small_and_name_no_folder() -> None:
+    texts = [path.read_text(encoding="utf-8") for path in PATHS]
+    assert sum(map(len, texts)) < 1e6
+    assert [path.stem for path, text in zip(PATHS, texts, strict=True) if "/home/" in text or "/tmp/" in text] == []
+
+
+def test_notebooks_use_public_names_alone(path: Path) -> None:
+    code = "\n".join(cell.source for cell in code_of(nbformat.read(path, as_version=4)))
+    assert re.findall(r"^(?:from|import) (?:prt_bake|bakers|formats)\b.*", code, re.MULTILINE) == [
+        "import prt_bake as prt"
+    ]
+    assert set(re.findall(r"\bprt\.(\w+)", code)) <= set(prt.__all__)
 
 
 def test_cells_are_small_and_the_last_one_names_the_next_notebook(path: Path) -> None:
@@ -77,6 +104,5 @@ def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
         assert cell.execution_count is not None
         warnings = [output.text for output in cell.outputs if output.get("name") == "stderr"]
         assert warnings == []
-        shows = re.search(r"^(?:plt\.show|show)\(", cell.source, re.MULTILINE) is not None
-        assert shows == any("image/png" in output.get("data", {}) for output in cell.outputs)
+        assert shows(cell) == has_picture(cell)
     assert list(working.iterdir()) + list(temporary.iterdir()) == []

@@ -2,6 +2,7 @@
 
 import dataclasses
 import doctest
+import io
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import pyvista as pv
+from PIL import Image
 
 import prt_bake as prt
 from formats.asset import write_asset
@@ -16,6 +18,7 @@ from formats.errors import LightError, QueryError
 from formats.image import write_image
 from formats.image.png import to_srgb
 from formats.mesh import write_mesh
+from prt_bake.lights.lighting import as_lighting
 from prt_bake.preview import plotter as plotters
 from prt_bake.preview import show as shows
 from prt_bake.preview.window import Window
@@ -66,6 +69,8 @@ def test_the_defaults_are_the_shipped_sky_and_the_fitted_camera() -> None:
     [
         (ASSET, "none.exr", EYE, prt.PrtbakeError, r"none\.exr"),
         (ASSET, "spot.obj", EYE, LightError, "is not a light"),
+        (ASSET, "", EYE, LightError, "is not a light"),
+        (ASSET, [[1.0], [1.0, 2.0]], EYE, QueryError, "expected coefficients"),
         (ASSET, np.ones((4, 3)), EYE, QueryError, r"expected shape \[9, 3\]"),
         (ASSET, constant(), [0.0, 0.0, 0.0], QueryError, "inside the object"),
         (ONE_LIGHT, constant(), EYE, QueryError, "made for one light"),
@@ -103,20 +108,41 @@ def notebook(monkeypatch):
     pv.close_all()
 
 
-@pytest.mark.usefixtures("notebook")
-def test_a_notebook_shows_a_picture_without_a_server(monkeypatch) -> None:
-    monkeypatch.setattr(shows, "_backend", lambda: "static")
-    picture = np.asarray(ASSET.show(prt.read_lighting("sun:0,1,0:3,2,1:20"), EYE))
-    assert picture.shape == (720, 960, 3)
-    assert picture[300:400, 400:500].std() > 1.0
+def image_of(widget) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(widget.children[0].value)))
 
 
 @pytest.mark.usefixtures("notebook")
-def test_a_server_is_used_where_its_packages_are(monkeypatch) -> None:
-    monkeypatch.setattr(shows.importlib.util, "find_spec", lambda name: None if name == "ipywidgets" else name)
-    assert shows._backend() == "static"
-    monkeypatch.setattr(shows.importlib.util, "find_spec", lambda name: name)
-    assert shows._backend() == "server"
+def test_a_notebook_has_sliders_for_the_light_and_the_eye() -> None:
+    asset = make_asset(ball(2), provenance={"eta": 1.5})
+    widget = asset.show(as_lighting(0.1 * SKY, "y", 0.0), EYE)  # dark enough to show a reflection
+    first = image_of(widget)
+    assert first.shape == (600, 800, 3)
+    controls = {control.description: control for control in widget.children[1].children}
+    assert list(controls) == ["light", "exposure", "around", "above", "reflection"]
+    for name, value in (("light", 90.0), ("exposure", -1.0), ("around", 45.0), ("above", -20.0), ("reflection", True)):
+        control = controls[name]
+        before = control.value
+        control.value = value
+        assert np.abs(image_of(widget).astype(float) - first).mean() > 0.3, name
+        control.value = before
+        np.testing.assert_array_equal(image_of(widget), first)
+
+
+@pytest.mark.usefixtures("notebook")
+def test_the_picture_in_a_notebook_is_that_of_shade() -> None:
+    lighting = as_lighting(SKY, "y", 0.0)
+    found = image_of(ASSET.show(lighting, EYE))
+    picture = prt.render_picture(ASSET, lighting, prt.fit_camera(ASSET.mesh, 800, 600, eye=EYE), samples=1)
+    assert np.median(np.abs(found - 255.0 * to_srgb(picture.image))) <= 1.0
+
+
+@pytest.mark.usefixtures("notebook")
+def test_a_notebook_without_ipywidgets_or_with_one_light(monkeypatch) -> None:
+    names = [control.description for control in ONE_LIGHT.show().children[1].children]
+    assert names == ["exposure", "around", "above"]
+    monkeypatch.setattr(shows.importlib.util, "find_spec", lambda name: None)
+    assert np.asarray(ONE_LIGHT.show()).shape == (600, 800, 3)
 
 
 def test_a_script_shows_the_window(monkeypatch) -> None:

@@ -38,7 +38,7 @@ def windows() -> np.ndarray:
 
 
 def picture(sampling: str | None, seed: int, power: float, sky: np.ndarray, spp: int) -> Rendering:
-    camera = prt.fit_camera(MESH, 12, 12)
+    camera = prt.fit_camera(MESH, 12, 12, view="three-quarter-back")
     return prt.render_network(network(power), MESH, sky, camera, spp, seed, sampling=sampling, background=False)
 
 

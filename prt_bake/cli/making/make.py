@@ -1,8 +1,6 @@
 """`prtbake make`: a scene to an asset and its pictures, in a given time."""
 
 import os
-import shlex
-import sys
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from formats.errors import MeshError
+from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
+from prt_bake.cli.shared.next_step import say_next_of_asset
 from prt_bake.cli.shared.options import within
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
@@ -18,7 +18,9 @@ from prt_bake.cli.start.init import MaterialName, ObjectSize, write_scene
 if TYPE_CHECKING:
     from formats.scene import Scene
 
-_SHIPPED_SKY = "the shipped sky"
+_USUAL_LIGHT = "the shipped sky and a sun behind the object"
+_SUN_BEHIND = {"y": "sun:0.6,0.6,-0.6:2,1.9,1.7:3", "z": "sun:0.6,0.6,0.6:2,1.9,1.7:3"}
+"""For each axis that points up: right of, above and behind an object whose front is +z, or -y. Thin parts glow."""
 
 
 def make(
@@ -30,7 +32,9 @@ def make(
     ] = 20.0,
     light: Annotated[
         list[str] | None,
-        typer.Option("--light", metavar="LIGHT", help="Light of the pictures, as of shade; by default a shipped sky."),
+        typer.Option(
+            "--light", metavar="LIGHT", help="Light of the pictures, as of shade; by default a sky and a sun."
+        ),
     ] = None,
     material: MaterialName = None,
     size: ObjectSize = None,
@@ -50,15 +54,16 @@ def make(
     from prt_bake.lights.lighting import read_lighting
 
     check_outputs({"--output": [folder / name for name in all_names()]}, {"SCENE": scene, "--light": light}, folder)
+    refuse_other_kinds({"SCENE": (scene, ("scene", "mesh")), "--light": (light, LIGHT)})
     path = _scene_file(scene, folder, material, size, force)
     read = read_scene(path)
     _refuse_turned(read)
-    lights = light or [str(resources.files("prt_bake.shipped") / "sky.hdr")]
+    lights = light or [str(resources.files("prt_bake.shipped") / "sky.hdr"), _SUN_BEHIND[read.up]]
     read_lighting(lights, read.up, mesh=read.mesh, say=say)
     settings = {
         "scene": path.name,
         "scene_hash": read.content_hash,
-        "light": ", ".join(light) if light else _SHIPPED_SKY,
+        "light": ", ".join(light) if light else _USUAL_LIGHT,
         "minutes": minutes,
     }
     record = Record.open(folder, settings, force)
@@ -67,7 +72,7 @@ def make(
     record.write()
     write_page(record)
     print(f"{folder / PAGE}: error of the coefficients {record.figures['error of the coefficients']}")
-    print(f"next: {shlex.join(['prtbake', 'view', str(folder / ASSET)])}", file=sys.stderr)
+    say_next_of_asset(folder / ASSET)
 
 
 def _scene_file(scene: Path, folder: Path, material: str | None, size: str | None, force: bool) -> Path:

@@ -1,6 +1,6 @@
 """The steps of `prtbake make`, and how they share its time.
 
-Training takes 70 % of the time, the bake what is left until 90 %, pictures and compression the rest.
+Training takes 60 % of the time, the bake what is left until 85 %, pictures and compression the rest.
 """
 
 import math
@@ -17,10 +17,12 @@ import typer
 from formats.errors import PrtbakeError
 from formats.journal import journal_folder
 from prt_bake.cli.making.record import ASSET, COMPACT, MODEL, PICTURE, TURNTABLE, Record, model_files
+from prt_bake.cli.shared import signals
+from prt_bake.cli.shared.next_step import without_next
 from prt_bake.cli.shared.progress import in_words, reporting, say
 from prt_bake.network.file_names import state_path
 
-TRAINING, REST = 0.7, 0.1
+TRAINING, REST = 0.6, 0.15
 """Shares of the time for the training, and for all that follows the bake."""
 _LEAST_SHARE, _LEAST_SECONDS = 0.1, 30.0
 """Time that the bake has at least, however long the training took: its first pass must end, or nothing is written."""
@@ -29,6 +31,7 @@ _OVERRUN = 0.05
 _BAKE_ERROR, _COMPRESSION_ERROR = 0.02, 0.005
 _COARSE = ("--rings", "4", "--sectors", "8", "--samples", "18", "--lobes", "0")
 """A bake that takes seconds, for slow machines whose time is over before an adaptive bake has its first pass."""
+_PICTURE_SIDE, _TURNTABLE_SIDE = 512, 384
 _FRAMES = (8, 36)
 _FRAMES_A_SECOND = 12
 
@@ -41,7 +44,7 @@ class Steps:
     """Runs the steps that a folder does not have yet."""
 
     def __init__(self, context: typer.Context, record: Record, scene: Path, mesh: Path, lights: list[str]) -> None:
-        """`record.settings` has the time in minutes. Later runs have what the finished steps left, at least a tenth."""
+        """`record.settings` has the time in minutes. Later runs have what finished steps left, or a part."""
         self._root = context.find_root().command
         self._record, self._scene, self._mesh, self._lights = record, scene, mesh, lights
         self._total = 60.0 * float(record.settings["minutes"])
@@ -94,13 +97,18 @@ class Steps:
             self._run("bake", [*arguments, *_COARSE], [ASSET])
 
     def _picture(self) -> None:
-        self._run("picture", self._shade(PICTURE, 512), [PICTURE])
+        self._run("picture", self._shade(PICTURE, _PICTURE_SIDE), [PICTURE])
 
     def _turntable(self) -> None:
-        picture = self._record.finished("picture")
-        seconds = 1.0 if picture is None else picture.seconds
+        seconds = _frame_seconds(Path(self._file(ASSET)), self._lights)
         frames = math.floor(min(_FRAMES[1], 0.5 * self._left() / max(seconds, 1e-3)))
-        arguments = [*self._shade(TURNTABLE, 384), "--turntable", "eye", "--frames", str(max(frames, _FRAMES[0]))]
+        arguments = [
+            *self._shade(TURNTABLE, _TURNTABLE_SIDE),
+            "--turntable",
+            "eye",
+            "--frames",
+            str(max(frames, _FRAMES[0])),
+        ]
         arguments += ["--seconds", f"{max(frames, _FRAMES[0]) / _FRAMES_A_SECOND:.3g}"]
         if _FRAMES[0] * seconds > self._left() + _OVERRUN * self._total:
             self._skip("turntable", arguments)
@@ -143,9 +151,10 @@ class Steps:
                 shutil.rmtree(journal_folder(path), ignore_errors=True)
         began = time.monotonic()
         words = [*arguments, *(resume or [])]
-        # Without the standalone mode a command returns its exit code, such as 130 after Ctrl-C.
-        code = self._root.main(args=words, prog_name="prtbake", obj=_text(words), standalone_mode=False)
-        if code:
+        with without_next():
+            # Without the standalone mode a command returns its exit code, such as 130 after Ctrl-C.
+            code = self._root.main(args=words, prog_name="prtbake", obj=_text(words), standalone_mode=False)
+        if code or (code := signals.exit_code(0)):  # a command that was stopped may end as if it were finished
             raise typer.Exit(code)
         self._record.add(name, _text(arguments), time.monotonic() - began, files)
 
@@ -161,6 +170,21 @@ class Steps:
 
     def _left(self) -> float:
         return self._deadline - time.monotonic()
+
+
+def _frame_seconds(asset: Path, lights: list[str]) -> float:
+    """Return the time of one frame of the turntable, measured after a small one that loads what it needs."""
+    from formats.asset import read_asset
+    from prt_bake.geometry import camera
+    from prt_bake.lights.lighting import read_lighting
+    from prt_bake.shading.picture import render_picture
+
+    baked = read_asset(asset)
+    lighting = read_lighting(lights, baked.up, mesh=baked.mesh)
+    for side in (8, _TURNTABLE_SIDE):
+        began = time.monotonic()
+        render_picture(baked, lighting, camera.fit(baked.mesh, side, side, up=baked.up), reflection=True)
+    return time.monotonic() - began
 
 
 def _is_complete(asset: Path) -> bool:

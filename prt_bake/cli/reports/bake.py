@@ -11,6 +11,7 @@ from prt_bake.cli.shared.mesh_name import naming_mesh
 from prt_bake.cli.shared.options import Eye, Seed, View
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
+from prt_bake.cli.shared.viewing import refuse_view_and_eye
 
 
 @naming_mesh
@@ -48,8 +49,7 @@ def bake(
     Writes bake.md, bake.json and bake.png: uniform Monte Carlo, Sobol, a lattice and adaptive bakes, with fitted slopes
     and efficiencies. With --scene adds path-traced bakes; with --light adds the error budget of a picture.
     """
-    if side is not None and eye is not None:
-        raise typer.BadParameter("--view: --eye places the camera; omit one of them")
+    refuse_view_and_eye(side, eye)
     from prt_bake.baking.report.report import report_bake, report_files
 
     inputs = {"SOURCE": source, "MESH": mesh, "--scene": scene, "--light": light}

@@ -7,6 +7,12 @@ import typer
 from prt_bake.cli.shared.options import USUAL_FOV, Point, Size
 
 
+def refuse_view_and_eye(view: str | None, eye: Point | None) -> None:
+    """Raise typer.BadParameter if both place the camera."""
+    if view is not None and eye is not None:
+        raise typer.BadParameter("--view: --eye places the camera; omit one of them")
+
+
 def camera_for(
     mesh: Any,
     size: Size,
@@ -23,8 +29,7 @@ def camera_for(
 
     Raises typer.BadParameter for an orthographic camera with a field of view, and for a view beside an eye.
     """
-    if view is not None and eye is not None:
-        raise typer.BadParameter("--view: --eye places the camera; omit one of them")
+    refuse_view_and_eye(view, eye)
     parallel = orthographic or extent is not None
     if parallel and fov != USUAL_FOV:
         raise typer.BadParameter(

@@ -1,13 +1,13 @@
 """`prtbake init`: writes a scene file for a mesh and a material."""
 
-import shlex
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from formats.errors import MeshError, StorageError
+from prt_bake.cli.shared.kinds import refuse_other_kinds
+from prt_bake.cli.shared.next_step import say_next
 from prt_bake.cli.shared.options import optional_output
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
@@ -18,10 +18,6 @@ if TYPE_CHECKING:
 
 _USUAL_SIZE = 100.0
 """Millimetres of the longest side, for meshes whose unit is not known."""
-_LEAST_COSINE = 0.5
-"""Of the angle between a vertex normal and a face beside it, below which there is a hard edge."""
-_FEW = 0.05
-"""Share of vertices or faces at hard edges up to which a surface is smooth."""
 
 MaterialName = Annotated[
     str | None,
@@ -52,7 +48,7 @@ def init(
     """
     path = output or Path(f"{mesh.stem}.toml")
     write_scene(mesh, material, size, path, up, force)
-    print(f"next: {shlex.join(['prtbake', 'make', str(path), '-o', path.stem])}", file=sys.stderr)
+    say_next("prtbake", "make", path, "-o", path.stem)
 
 
 def write_scene(
@@ -65,10 +61,11 @@ def write_scene(
     """
     substance, length = _material(material), _length(size)
     check_outputs({"--output": path}, {"MESH": mesh_path})
+    refuse_other_kinds({"MESH": (mesh_path, ("mesh",))})
     if path.exists() and not force:
         raise StorageError(f"{path}: already exists; add --force to replace it, or choose another name with -o")
     from formats.atomic import replacing
-    from formats.mesh import read_mesh
+    from formats.mesh import good_normals, read_mesh
     from prt_bake.cli.start.scene_draft import SceneDraft
     from prt_bake.inspection import translucency
     from prt_bake.inspection.mesh import find_faults
@@ -78,7 +75,7 @@ def write_scene(
         raise MeshError(f"{faults[0]}{more}")
     mesh = read_mesh(mesh_path)
     unit_in_mm = _unit_in_mm(mesh, mesh_path, length)
-    normals: Literal["vertex", "face"] = "vertex" if _has_good_normals(mesh) else "face"
+    normals: Literal["vertex", "face"] = "vertex" if good_normals(mesh) else "face"
     draft = SceneDraft(path, mesh_path, mesh, substance, unit_in_mm, up, normals)
     with replacing(path) as part:
         part.write_text(draft.text(), encoding="utf-8")
@@ -86,9 +83,11 @@ def write_scene(
         say(f"{substance.name} is {substance.source}")
     if remark := translucency.remark(draft.light, 1.0):
         say(f"remark: {remark}")
+    paths = draft.light.size / draft.light.transport
+    least, most = translucency.digits(paths.min()), translucency.digits(paths.max())
     print(
-        f"{path}: {mesh_path.name} in {substance.name}, {draft.light.size:.4g} mm long, "
-        f"{translucency.channels(draft.light.size / draft.light.transport)} transport mean free paths"
+        f"{path}: {mesh_path.name} in {substance.name}, {draft.light.size:.4g} mm long, {least} to {most} transport "
+        f"mean free paths (about 5 to 50 look translucent)"
     )
 
 
@@ -131,12 +130,3 @@ def _unit_in_mm(mesh: "Mesh", path: Path, length: float | None) -> float:
         return 1000.0
     say(f"{path}: the format has no unit of length; the object is taken to be 10 cm long; --size changes that")
     return _USUAL_SIZE / longest
-
-
-def _has_good_normals(mesh: "Mesh") -> bool:
-    """Whether the vertex normals follow the faces, as on a smooth surface, and no hard edge is rounded by them."""
-    import numpy as np
-
-    cosines: Any = np.einsum("fci,fi->fc", mesh.normals[mesh.faces], mesh.face_normals)
-    steep = (cosines < _LEAST_COSINE).any(axis=1).mean()
-    return bool(mesh.split_normals <= _FEW * len(mesh.positions) and steep <= _FEW)

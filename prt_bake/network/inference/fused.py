@@ -18,13 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from formats.errors import QueryError
-from prt_bake.network.core import NetworkCore, float64_tensor
+from prt_bake.network.core import NetworkCore
 from prt_bake.network.features.fourier import encode_directions
 from prt_bake.network.inference.late_layers import LateLayers
 from prt_bake.network.inference.light_tables import CachedTables, LightTable, table_bounds
 from prt_bake.network.inference.linear import linear_for
 from prt_bake.network.inference.product_kernel import product_rows
 from prt_bake.network.lobes import Bands, Lobes, evaluate_bands, evaluate_lobes, lobe_bands
+from prt_bake.network.queries import float64_tensor
 
 PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16}
 ROWS_PER_TILE = {"cpu": 2048, "cuda": 1 << 17}

@@ -13,6 +13,7 @@ from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake.face.assets import asset as require_asset
 from prt_bake.face.assets import light_of_vertices
+from prt_bake.face.assets import point as require_point
 from prt_bake.jit.threads import using_threads
 from prt_bake.jit.vectors import laid_out
 from prt_bake.lights.environment import rotate_light, rotation
@@ -193,7 +194,7 @@ class Frames:
         return self._radiance
 
     def _set_view(self, eye: ArrayLike, visible: NDArray[np.bool_] | None) -> None:
-        point = np.asarray(eye, np.float64)
+        point = np.asarray(require_point("eye", eye), np.float64)
         if point.shape != (3,) or not (np.abs(point) < _FARTHEST).all():
             raise QueryError(f"eye: expected a point of three finite numbers, found {np.asarray(eye).tolist()}")
         np.subtract(point, self._centre, out=self._eye)
