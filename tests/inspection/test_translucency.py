@@ -57,7 +57,16 @@ def test_the_phase_function_changes_the_path_and_not_what_crosses():
     assert (forward.mean_free_path < 0.25 * isotropic.mean_free_path).all()
 
 
-SCENE = '[object]\nmesh = "ball.ply"\nunit = "cm"\n[interface]\neta = 1.4\nnormals = "vertex"\n[medium]\nsigma_t = 5.0\nalbedo = 0.9\n'
+SCENE = """[object]
+mesh = "ball.ply"
+unit = "cm"
+[interface]
+eta = 1.4
+normals = "vertex"
+[medium]
+sigma_t = 5.0
+albedo = 0.9
+"""
 
 
 @pytest.fixture(scope="module")
