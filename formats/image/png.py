@@ -8,7 +8,7 @@ import os
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from formats.errors import ImageError, QueryError
+from formats.errors import ImageError
 from formats.image.encoding import encoding_of
 from formats.image.gamut import Primaries
 from formats.image.stored import read_stored
@@ -128,10 +128,7 @@ def srgb(image: ArrayLike, exposure: float = 0.0) -> NDArray[np.uint8]:
     >>> prt.srgb([[0.0, 0.5, 1.0]]).tolist(), prt.srgb([[0.0, 0.5, 1.0]], exposure=-1.0).tolist()
     ([[0, 188, 255]], [[0, 137, 188]])
     """
-    radiance = np.asarray(image, np.float64)
-    if np.isnan(radiance).any():
-        raise QueryError(f"image: expected numbers, found {int(np.isnan(radiance).sum())} that are NaN")
-    return encode_srgb(radiance, exposure)
+    return encode_srgb(np.asarray(image, np.float64), exposure)
 
 
 def encode_srgb(

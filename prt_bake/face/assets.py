@@ -11,7 +11,8 @@ from formats.errors import QueryError
 def asset(name: str, value: Any) -> Any:
     """A baked asset."""
     if hasattr(value, "evaluate") and not hasattr(value, "coefficients"):
-        raise QueryError(f"{name}: expected an asset, found {arguments.described(value)}; bake it first: prt.bake")
+        found = arguments.described(value)
+        raise QueryError(f"{name}: expected an asset, found {found}; bake it first: prt.bake(model, mesh)")
     arguments.require(name, value, ("coefficients", "mesh", "valid"), "prt.read_asset")
     return value
 
@@ -34,5 +35,5 @@ def point(name: str, value: Any) -> Any:
         raise QueryError(f"{name}: expected numbers such as [0, 1, 4], found {arguments.described(value)}")
     array = arguments.numbers(name, value)
     if array.shape == (3,) and not np.isfinite(array).all():
-        raise QueryError(f"{name}: expected three finite numbers, found {array.tolist()}")
+        raise QueryError(f"{name}: expected a point of three finite numbers, found {array.tolist()}")
     return array

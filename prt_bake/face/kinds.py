@@ -41,6 +41,14 @@ def light_of_picture(name: str, value: Any) -> Any:
     return arguments.radiance(name, value)
 
 
+def visible(name: str, value: Any) -> Any:
+    """Linear radiance that can be shown."""
+    array = arguments.radiance(name, value)
+    if unknown := int(np.isnan(array).sum()):
+        raise QueryError(f"{name}: expected numbers, found {unknown} that are NaN")
+    return array
+
+
 def camera(name: str, value: Any) -> Any:
     """A camera."""
     if not all(hasattr(value, each) for each in ("eye", "target", "fov", "width")):
@@ -268,6 +276,7 @@ OF_FUNCTION: dict[tuple[str, str], Check] = {
     ("save_model", "network"): model,
     ("bake", "transport"): baked,
     ("shade", "suns"): suns,
+    ("srgb", "image"): visible,
     ("write_image", "layers"): dictionary,
     ("train", "samples"): arguments.path,
     ("train", "device"): text,
