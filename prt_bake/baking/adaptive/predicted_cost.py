@@ -26,6 +26,8 @@ SIGMAS = 2.0
 """Half width of the stated range of the mean cost of a vertex, in standard errors."""
 ERROR_FACTOR = 1.1
 """Uncertainty of the predicted error of a pass."""
+_LEAST_SECONDS = 1e-6
+"""Of a coarse pass that is too short for the clock."""
 
 
 @dataclass(frozen=True)
@@ -116,13 +118,14 @@ def _cost_for_time(
     """
     count, before = len(job.vertices), time.monotonic() - began
     reached = worst_of(*coarse.tally.relative(coarse.tally.correction(Correction())))
-    first = before + coarse.seconds * count
-    most = _finer_in(TIME_TO_USE * max(limit - first, 0.0) / (coarse.seconds * count))
+    coarse_pass = max(coarse.seconds * count, _LEAST_SECONDS)
+    first = before + coarse_pass
+    most = _finer_in(TIME_TO_USE * max(limit - first, 0.0) / coarse_pass)
     finer = most if error is None else min(most, reached / error)
     finer = finer if finer > FINER else 1.0
     more = _time_for(finer) if finer > 1.0 else 0.0
     passes = coarse.evaluations * count * (1.0 + more)
-    second = coarse.seconds * count * more
+    second = coarse_pass * more
     return Cost(
         per_bin=math.ceil(coarse.evaluations * max(1.0, more) / job.bins),
         evaluations=evaluations + pruning.evaluations + passes,
