@@ -243,7 +243,7 @@ def noise_free_ratio(predicted: ArrayLike, mean: Array, error: Array) -> float:
 class FinalErrors:
     """Relative RMSE of Ŝ and of the degree-2 coefficients on fresh queries, and the reference's relative noise.
 
-    An error is None if it is unknown, because the noise is as large as the values. Ŝ has neither behind a smooth
+    An error is None if it is unknown, because the noise of the reference hides it. Ŝ has neither behind a smooth
     interface, where it has no point values. The interval is the 95 % confidence interval of the coefficients' error;
     None if it is unknown, as for few queries. queries, walks: those of the coefficients.
     """
@@ -287,22 +287,22 @@ def final_errors(
         follow(_VALUES_SHARE + (1.0 - _VALUES_SHARE) * done)
 
     traced = _traced_coefficients(scene, queries, 8 * walks, seed, device, left, follow_coefficients, network)[1]
-    noise = _noise_of(traced)
-    error = relative_rmse(traced.errors(), FINAL_SEED) if noise < _ONLY_NOISE else None
+    error, of_values = _known_error(traced), None if values is None else _known_error(values)
     return FinalErrors(
-        transport=None if values is None else _known_error(values),
+        transport=None if of_values is None else of_values.value,
         transport_noise=None if values is None else _noise_of(values),
         coefficients=None if error is None else error.value,
         coefficients_interval=None if error is None or np.isnan(error.low) else [error.low, error.high],
-        coefficients_noise=noise,
+        coefficients_noise=_noise_of(traced),
         queries=len(traced),
         walks=traced.walks,
     )
 
 
-def _known_error(values: Traced) -> float | None:
-    """The error of the predictions; None if the reference is only noise."""
-    return None if _noise_of(values) >= _ONLY_NOISE else relative_rmse(values.errors(), FINAL_SEED).value
+def _known_error(traced: Traced) -> Interval | None:
+    """The error of the predictions; None if the noise of the reference hides it."""
+    error = relative_rmse(traced.errors(), FINAL_SEED) if _noise_of(traced) < _ONLY_NOISE else None
+    return error if error is not None and error.value > 0.0 else None
 
 
 def _noise_of(traced: Traced) -> float:

@@ -8,7 +8,9 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 
 from prt_bake.mathematics import sh
+from prt_bake.mathematics.noise_free import Interval
 from prt_bake.tracer.prepared import prepare
+from prt_bake.trainer import validation
 from prt_bake.trainer.validation import HeldOutCoefficients, final_errors
 from tests.trainer.small_training import make_scene
 
@@ -60,3 +62,11 @@ def test_few_queries_have_no_interval(tmp_path: Path, queries: int, known: bool)
     if errors.coefficients_interval is not None:
         low, high = errors.coefficients_interval
         assert low <= errors.coefficients <= high
+
+
+def test_an_error_that_the_noise_hides_is_unknown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The noise is subtracted; if nothing is left, the error is not zero."""
+    monkeypatch.setattr(validation, "relative_rmse", lambda *_: Interval(0.0, 0.0, 0.1))
+    scene = make_scene(tmp_path)
+    errors = final_errors(Degree2(np.zeros((8, 9, 3))), scene, prepare(scene), 8, 8)
+    assert (errors.transport, errors.coefficients, errors.coefficients_interval) == (None, None, None)

@@ -26,7 +26,7 @@ def verdict(error: Interval, minutes: float, walks: float) -> str:
     'a_lm is 4.4 % off (4.1 to 4.7): good for final pictures; ten minutes more would bring about 4 % (extrapolated)'
     """
     if not math.isfinite(error.value):
-        return "the error of a_lm is unknown: the reference is no brighter than its noise"
+        return "the error of a_lm is unknown: the noise of its reference hides it"
     interval = "" if not math.isfinite(error.low) else f" ({100 * error.low:.1f} to {100 * error.high:.1f})"
     use, worst = _use(error.value), _use(error.high)
     doubt = f", or only {worst}" if worst not in ("", use) else ""
