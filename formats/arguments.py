@@ -101,9 +101,10 @@ def radiance(name: str, value: Any) -> NDArray[Any]:
         found = "a PIL image, which is encoded for display"
     else:
         array = numbers(name, value)
-        if array.dtype not in _DISPLAY:
+        whole = hasattr(value, "dtype") and array.dtype.kind in "iu" and array.max(initial=0) > 1
+        if array.dtype not in _DISPLAY and not whole:
             return array
-        found = f"{array.dtype} values, which are encoded for display"
+        found = f"{array.dtype} values, which are {'' if array.dtype in _DISPLAY else 'usually '}encoded for display"
     raise QueryError(
         f"{name}: expected linear radiance in floating point, found {found}; prt.read_image(path) reads a file as "
         f"linear values"

@@ -4,7 +4,6 @@ import doctest
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import prt_bake as prt
@@ -30,7 +29,7 @@ SLOW = {"train": pytest.mark.statistics}
 @pytest.mark.parametrize("name", [pytest.param(name, marks=SLOW.get(name, ())) for name in prt.__all__])
 def test_the_example_in_the_docstring_works(name: str, shipped: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = getattr(prt, name).__doc__ or ""
-    examples = doctest.DocTestParser().get_doctest(text, {"prt": prt, "np": np}, name, None, None)
+    examples = doctest.DocTestParser().get_doctest(text, {"prt": prt}, name, None, None)
     assert examples.examples, f"{name} has no example in its docstring"
     assert "+SKIP" not in text
     monkeypatch.chdir(shipped)

@@ -49,6 +49,7 @@ def read_asset(path: str | os.PathLike[str], *, load: bool = True) -> Asset:
         StorageError: the file is missing.
 
     >>> import trimesh
+    >>> import numpy as np
     >>> import prt_bake as prt
     >>> class White:
     ...     def evaluate(self, incident, positions, outgoing):

@@ -81,6 +81,7 @@ class Asset(AssetHead):
         lobes: what the transport holds beyond the harmonics, or None.
 
     >>> import trimesh
+    >>> import numpy as np
     >>> import prt_bake as prt
     >>> class White:
     ...     def evaluate(self, incident, positions, outgoing):

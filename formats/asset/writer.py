@@ -252,6 +252,7 @@ def write_asset(asset: Asset, path: str | os.PathLike[str]) -> None:
         StorageError: the disk is full or read-only.
 
     >>> import trimesh
+    >>> import numpy as np
     >>> import prt_bake as prt
     >>> class White:
     ...     def evaluate(self, incident, positions, outgoing):

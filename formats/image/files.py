@@ -36,6 +36,7 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
             that are equally good.
         StorageError: the file is missing or cannot be opened.
 
+    >>> import numpy as np
     >>> import prt_bake as prt
     >>> prt.write_image("grey.exr", np.full((2, 4, 3), 0.5))
     >>> image = prt.read_image("grey.exr")
@@ -123,6 +124,7 @@ def write_image(
             alpha for `.hdr`.
         StorageError: the disk is full or read-only.
 
+    >>> import numpy as np
     >>> import prt_bake as prt
     >>> image = np.full((2, 2, 3), 0.5)
     >>> prt.write_image("picture.exr", image, layers={"error": 0.1 * image}, attributes={"camera": "front"})

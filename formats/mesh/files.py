@@ -91,6 +91,7 @@ def write_mesh(mesh: Mesh, path: str | os.PathLike[str]) -> None:
         MeshError: another suffix.
         StorageError: the disk is full or read-only.
 
+    >>> import numpy as np
     >>> import prt_bake as prt
     >>> triangle = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     >>> mesh = prt.Mesh(triangle, np.array([[0, 1, 2]]), np.array([[0.0, 0.0, 1.0]] * 3))

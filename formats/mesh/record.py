@@ -55,6 +55,7 @@ class Mesh:
             edges; such a vertex has their mean.
         flat_shaded: whether the normals of the file are constant on each face, although the surface bends.
 
+    >>> import numpy as np
     >>> import prt_bake as prt
     >>> mesh = prt.Mesh(
     ...     positions=np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0]]),

@@ -15,6 +15,7 @@ from formats.mesh import SPLIT_ANGLE, Mesh, closedness_faults, flipped, read_mes
 from formats.scene.file import errors_at, refuse_quoted_number
 from formats.scene.medium import Medium, MediumContext, clear_medium, read_medium
 from formats.scene.schema import InsideTable, InterfaceTable, SceneFile
+from formats.summary import summary
 
 MOST_PARTS = 12
 """Parts of a scene, the outermost included."""
@@ -55,6 +56,8 @@ class Part:
     energy_compensation: bool
     diffuse: NDArray[np.float64] | None
     medium: Medium | None
+
+    __repr__ = summary
 
 
 def read_parts(tables: SceneFile, path: Path) -> tuple[Part, ...]:

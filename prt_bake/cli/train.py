@@ -161,7 +161,7 @@ def _figures(training: dict[str, Any]) -> list[str]:
         test, samples = training["test_relative_rmse"], training["samples"]
         sentences.append(
             f"relative RMSE on the {samples['test_queries']:,} test queries of {samples['file']} "
-            f"{test['transport']:.2%} (without the noise, {test['transport_noise']:.2%})"
+            f"{test['transport']:.2%} (the noise, {test['transport_noise']:.2%}, is subtracted)"
         )
     if "relative_rmse" not in training:
         return [*sentences, "its errors are not measured; `prtbake report training` measures them"]
@@ -172,5 +172,5 @@ def _figures(training: dict[str, Any]) -> list[str]:
     known = {key: "unknown" if rmse[key] is None else f"{rmse[key]:.2%}" for key in names}
     errors = ", ".join(f"{name} {known[key]}" for key, name in names.items())
     noises = " and ".join(f"{rmse[key + '_noise']:.2%}" for key in names)
-    sentences.append(f"relative RMSE on fresh queries {errors} (without the reference's noise, {noises})")
+    sentences.append(f"relative RMSE on fresh queries {errors} (the noise of the reference, {noises}, is subtracted)")
     return sentences

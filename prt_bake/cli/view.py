@@ -85,10 +85,10 @@ def view(
 
     Orbit, rotate the light, flip to a reference, inspect errors and coefficients. Press h in the window for its keys.
     """
+    refuse_other_kinds({"ASSET": (asset, ("asset",)), "--light": (light, LIGHT), "--compare": (compare, ("sky",))})
     if screenshot is None and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         raise QueryError(f"view: {_WITHOUT_DISPLAY}")
     check_outputs({"--screenshot": screenshot}, {"ASSET": asset, "--light": light, "--compare": compare})
-    refuse_other_kinds({"ASSET": (asset, ("asset",)), "--light": (light, LIGHT), "--compare": (compare, ("sky",))})
     options = _Options(light, up, rotate, exposure, mend, suns, compare, size, side, eye, look_at, fov)
     from formats.asset import read_asset
 

@@ -33,6 +33,8 @@ def point(name: str, value: Any) -> Any:
     """A point, or directions to it."""
     if isinstance(value, str):
         raise QueryError(f"{name}: expected numbers such as [0, 1, 4], found {arguments.described(value)}")
+    if hasattr(value, "eye"):
+        raise QueryError(f"{name}: expected real numbers, found {arguments.described(value)}; give its .eye")
     array = arguments.numbers(name, value)
     if array.shape == (3,) and not np.isfinite(array).all():
         raise QueryError(f"{name}: expected a point of three finite numbers, found {array.tolist()}")

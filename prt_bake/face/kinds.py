@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -225,6 +226,40 @@ def seed(name: str, value: Any) -> int:
     return number
 
 
+def flag(name: str, value: Any) -> bool:
+    """True or False; a text such as "no" would count as True."""
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    raise QueryError(f"{name}: expected True or False, found {arguments.described(value)}")
+
+
+def axis(name: str, value: Any) -> str:
+    """The axis that points up."""
+    if isinstance(value, str) and value in ("y", "z"):
+        return value
+    raise QueryError(f'{name}: expected "y" or "z", the axis that points up, found {arguments.described(value)}')
+
+
+def asset_file(name: str, value: Any) -> Any:
+    """The path of an asset to write."""
+    if Path(arguments.path(name, value)).suffix.lower() not in (".h5", ".hdf5"):
+        raise QueryError(f"{name}: expected a name that ends in .h5 or .hdf5, found {arguments.described(value)}")
+    return value
+
+
+def checkpoint(name: str, value: Any) -> Path:
+    """The path of a checkpoint."""
+    return Path(arguments.path(name, value))
+
+
+def keys(name: str, value: Any) -> Any:
+    """Keys of random numbers: whole numbers from 0 on."""
+    array = arguments.numbers(name, value)
+    if array.dtype.kind not in "iu" or (array < 0).any():
+        raise QueryError(f"{name}: expected whole numbers from 0 on, found {arguments.described(array)}")
+    return array
+
+
 def mask(name: str, value: Any) -> Any:
     """A mask, of booleans or of weights."""
     return value if getattr(value, "dtype", None) == np.bool_ else arguments.numbers(name, value)
@@ -254,7 +289,7 @@ KINDS: dict[str, Check] = {
     "names": names,
     "scheduler": text,
     "importance": importance,
-    **dict.fromkeys(("positions", "outgoing", "incident", "origin", "keys"), arguments.numbers),
+    **dict.fromkeys(("positions", "outgoing", "incident", "origin"), arguments.numbers),
     **dict.fromkeys(("degree", "rings", "sectors", "lobes", "most", "paths", "samples", "steps"), WHOLE),
     **dict.fromkeys(("spp", "width", "height", "most_rows"), WHOLE),
     **dict.fromkeys(("workers", "connections", "turns"), count),
@@ -262,7 +297,10 @@ KINDS: dict[str, Check] = {
     **dict.fromkeys(("minutes", "every"), duration),
     **dict.fromkeys(("degrees", "rotate", "exposure"), finite),
     **dict.fromkeys(("settings", "learning"), settings),
-    **dict.fromkeys(("path", "out", "output", "folder", "checkpoint"), arguments.path),
+    **dict.fromkeys(("path", "out", "output", "folder"), arguments.path),
+    "checkpoint": checkpoint,
+    "up": axis,
+    "keys": keys,
     **dict.fromkeys(("progress", "stop", "say", "preview"), function),
 }
 """The check of each name of an argument."""
@@ -275,6 +313,8 @@ OF_FUNCTION: dict[tuple[str, str], Check] = {
     ("render_network", "network"): transport,
     ("save_model", "network"): model,
     ("bake", "transport"): baked,
+    ("bake", "out"): asset_file,
+    ("write_asset", "path"): asset_file,
     ("shade", "suns"): suns,
     ("srgb", "image"): visible,
     ("write_image", "layers"): dictionary,

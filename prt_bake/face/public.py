@@ -7,7 +7,7 @@ from contextlib import suppress
 from types import ModuleType
 from typing import Any, cast
 
-from prt_bake.face.kinds import KINDS, OF_FUNCTION
+from prt_bake.face.kinds import KINDS, OF_FUNCTION, flag
 
 
 def public(name: str, value: object) -> object:
@@ -30,13 +30,19 @@ def checked(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
     Arguments that are their default are not checked: None is allowed where it is the default.
     """
     signature = inspect.signature(function)
-    checks = {each: OF_FUNCTION.get((name, each)) or KINDS.get(each) for each in signature.parameters}
+    checks = {
+        each: OF_FUNCTION.get((name, each))
+        or KINDS.get(each)
+        or (flag if isinstance(parameter.default, bool) else None)
+        for each, parameter in signature.parameters.items()
+    }
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        try:
+        bound = None
+        with suppress(TypeError):
             bound = signature.bind(*args, **kwargs)
-        except TypeError:
+        if bound is None:
             return function(*args, **kwargs)  # raises Python's own error, which names the function
         for parameter, value in bound.arguments.items():
             check = checks[parameter]

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from formats.asset import Asset
 from formats.errors import QueryError, warn
 from formats.extras import require
+from prt_bake.face.assets import point
 from prt_bake.geometry import camera
 from prt_bake.lights.lighting import Lighting
 from prt_bake.preview.lights import LightSource
@@ -24,7 +25,7 @@ def show(asset: Asset, light: str | os.PathLike[str] | Lighting | None = None, e
     from prt_bake.preview.window import View, Window, on_display, open_plotter
 
     preview = Preview(asset, _sources(asset, light))
-    start = camera.fit(asset.mesh, *_SIZE, eye=eye, up=asset.up)
+    start = camera.fit(asset.mesh, *_SIZE, eye=None if eye is None else point("eye", eye), up=asset.up)
     camera.refuse_eye_in_object(asset.mesh, start.eye)
     plotter = open_plotter(*_SIZE)
     if not plotter.notebook and not on_display(plotter):

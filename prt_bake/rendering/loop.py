@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from formats.errors import QueryError
 from formats.image.single import single_precision
+from formats.summary import summary
 from prt_bake.geometry.camera import Camera
 from prt_bake.lights.lighting import Lighting
 from prt_bake.rendering.passes import pass_seed
@@ -59,6 +60,8 @@ class Rendering:
     history: Array
     shows: str = ""
     sampling: dict[str, Any] = field(default_factory=dict)
+
+    __repr__ = summary
 
     @property
     def negative(self) -> float:

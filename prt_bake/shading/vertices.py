@@ -80,6 +80,8 @@ def shade_vertices(
             "asset: no vertex was baked, there is nothing to show; bake it again (--resume finishes a partial bake)"
         )
     prepared = as_asset_light(light, suns)
+    if prepared.lobes is not None and asset.lobes is None:
+        raise QueryError("light: was prepared for an asset with lobes; prt.light_for(asset, lighting) prepares another")
     suns = prepared.suns
     weights = light_coefficients(asset, prepared.harmonics)
     if suns and asset.quantity == "radiance":

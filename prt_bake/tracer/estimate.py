@@ -254,7 +254,10 @@ def _place(
     if not np.isfinite(points).all():
         bad = int((~np.isfinite(points)).any(axis=1).sum())
         raise QueryError(f"positions: expected finite numbers, found {bad} of {len(points)} that are not finite")
-    return prepared.place(points, eye, np.arange(len(points), dtype=np.uint64) if keys is None else keys)
+    if keys is not None and np.shape(keys) != (len(points),):
+        raise QueryError(f"keys: expected one for each of {len(points)} queries, found shape {list(np.shape(keys))}")
+    chosen = np.arange(len(points)) if keys is None else keys
+    return prepared.place(points, eye, np.asarray(chosen, np.uint64))
 
 
 def _blocks(count: int, paths: int, numbers: int) -> Iterator[tuple[slice, NDArray[np.int64]]]:

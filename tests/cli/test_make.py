@@ -242,8 +242,11 @@ def test_another_scene_or_foreign_files_are_refused(kitchen):
 def test_a_mesh_gets_a_scene_in_the_folder(kitchen, capsys):
     kitchen.run("ball.obj", "-o", "out", "--material", "jade", "--size", "4cm")
     assert 'material = "jade"' in Path("out/ball.toml").read_text()
-    assert kitchen.run("ball.obj", "-o", "out", "--material", "jade") == []
-    assert "out/ball.toml: is there already, and is used as it is; --force writes it anew" in capsys.readouterr().err
+    assert kitchen.run("ball.obj", "-o", "out", "--material", "jade", "--size", "4cm") == []
+    assert "out/ball.toml: is there already, and is used; --force writes it anew" in capsys.readouterr().err
+    assert kitchen.run("ball.obj", "-o", "out") == []
+    with pytest.raises(PrtbakeError, match=r"ball\.toml: is another scene than --material and --size ask for"):
+        kitchen.run("ball.obj", "-o", "out", "--material", "jade", "--size", "5cm")
 
 
 def test_what_would_fail_later_is_refused_at_once(kitchen):

@@ -16,7 +16,7 @@ def test_a_reference_that_is_only_noise_gives_no_error(prtbake: Run, folder: Pat
     trained = prtbake("train", "dim.toml", "-o", model, *options)
     assert trained.code == 0, trained.err
     assert trained.err.endswith(f"next: prtbake bake {model} sphere.ply -o {tmp_path / 'm.h5'}\n")
-    assert "of the coefficients unknown (without the reference's noise, " in trained.out
+    assert "of the coefficients unknown (the noise of the reference, " in trained.out
     assert load_model(model).metadata["training"]["relative_rmse"]["coefficients"] is None
     few = ["--rings", 1, "--sectors", 1, "--samples", 16]
     baked = prtbake("bake", model, "sphere.ply", "-o", tmp_path / "a.h5", *few)

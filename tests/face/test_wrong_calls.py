@@ -44,8 +44,14 @@ def shade(*arguments: Any) -> Any:
     return prt.shade(*arguments, *(ASSET, LIGHT, [0.0, 0.0, 9.0])[len(arguments) :])
 
 
-def picture(*arguments: Any) -> Any:
-    return prt.render_picture(*arguments, *(ASSET, SKY, CAMERA)[len(arguments) :])
+def picture(*arguments: Any, **more: Any) -> Any:
+    return prt.render_picture(*arguments, *(ASSET, SKY, CAMERA)[len(arguments) :], **more)
+
+
+def exits(**arguments: Any) -> Any:
+    scene = read_scene(ROOT / "prt_bake" / "shipped" / "spot.toml")
+    place = scene.mesh.positions[:1], scene.mesh.normals[:1]
+    return prt.estimate_coefficients(scene, *place, degree=0, paths=2, **arguments)
 
 
 def project(image: Any = SKY, degree: Any = 2) -> Any:
@@ -135,7 +141,22 @@ WRONG: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: shade(ASSET, LIGHT, [0, np.nan, 4]),
         r"eye: expected a point of three finite numbers, found \[0.0, nan, 4.0\]",
     ),
-    "eye camera": (lambda: shade(ASSET, LIGHT, CAMERA), "eye: expected real numbers, found a camera"),
+    "eye camera": (lambda: shade(ASSET, LIGHT, CAMERA), r"eye: expected real numbers, found a camera; give its \.eye"),
+    "up vector": (lambda: prt.fit_camera(MESH, 8, 8, up=[0, 1, 0]), 'up: expected "y" or "z", .* found a list'),
+    "flag text": (lambda: picture(ASSET, SKY, reflection="no"), "reflection: expected True or False, found the text"),
+    "asset name": (
+        lambda: bake(out="a.png"),
+        r"out: expected a name that ends in \.h5 or \.hdf5, found the text 'a.png'",
+    ),
+    "key share": (
+        lambda: exits(keys=[0.5]),
+        r"keys: expected whole numbers from 0 on, found an array \[1\] of float64",
+    ),
+    "keys": (lambda: exits(keys=[1, 2]), r"keys: expected one for each of 1 queries, found shape \[2\]"),
+    "sky integers": (
+        lambda: project(BYTES.astype(int)),
+        "image: expected linear .* found int64 values, which are usually",
+    ),
     "camera eye": (lambda: picture(ASSET, SKY, [0, 0, 9]), r"camera: expected what prt.fit_camera\(.*, found a list"),
     "picture light": (lambda: picture(ASSET, BYTES), "light: " + ENCODED.format("uint8 values")),
     "picture model": (lambda: picture(NETWORK), "asset: expected an asset, found a model"),

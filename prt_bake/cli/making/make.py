@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from formats.errors import MeshError
+from formats.errors import MeshError, StorageError
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.next_step import say_next_of_asset
 from prt_bake.cli.shared.options import within
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
-from prt_bake.cli.start.init import MaterialName, ObjectSize, write_scene
+from prt_bake.cli.start.init import MaterialName, ObjectSize, draft_scene, write_scene
 
 if TYPE_CHECKING:
     from formats.scene import Scene
@@ -53,8 +53,9 @@ def make(
     from prt_bake.cli.making.steps import Steps, figures
     from prt_bake.lights.lighting import read_lighting
 
-    check_outputs({"--output": [folder / name for name in all_names()]}, {"SCENE": scene, "--light": light}, folder)
+    scene.stat()  # a file that is not there is reported before any folder is made
     refuse_other_kinds({"SCENE": (scene, ("scene", "mesh")), "--light": (light, LIGHT)})
+    check_outputs({"--output": [folder / name for name in all_names()]}, {"SCENE": scene, "--light": light}, folder)
     path = _scene_file(scene, folder, material, size, force)
     read = read_scene(path)
     _refuse_turned(read)
@@ -85,10 +86,22 @@ def _scene_file(scene: Path, folder: Path, material: str | None, size: str | Non
         return scene
     path = folder / f"{scene.stem}.toml"
     if path.exists() and not force:
-        say(f"{path}: is there already, and is used as it is; --force writes it anew")
+        _refuse_other_scene(path, scene, material, size)
+        say(f"{path}: is there already, and is used; --force writes it anew")
     else:
         write_scene(scene, material, size, path, "y", force)
     return path
+
+
+def _refuse_other_scene(path: Path, mesh: Path, material: str | None, size: str | None) -> None:
+    """Raise StorageError if these options would write another scene; without them it is used as it is."""
+    if material is None and size is None:
+        return
+    if draft_scene(mesh, material, size, path, "y").text() != path.read_text(encoding="utf-8"):
+        raise StorageError(
+            f"{path}: is another scene than --material and --size ask for; leave them out to use it as it is, add "
+            "--force to make everything anew, or choose another folder"
+        )
 
 
 def _short(path: Path) -> Path:

@@ -15,6 +15,7 @@ from prt_bake.cli.shared.progress import say
 if TYPE_CHECKING:
     from formats.mesh import Mesh
     from formats.scene.materials import Material
+    from prt_bake.cli.start.scene_draft import SceneDraft
 
 _USUAL_SIZE = 100.0
 """Millimetres of the longest side, for meshes whose unit is not known."""
@@ -59,15 +60,39 @@ def write_scene(
     Raises typer.BadParameter for an unknown material or size, MeshError for a mesh that is not sound, and StorageError
     if the scene exists and `force` is not given.
     """
-    substance, length = _material(material), _length(size)
-    check_outputs({"--output": path}, {"MESH": mesh_path})
+    mesh_path.stat()  # a file that is not there is reported first
     refuse_other_kinds({"MESH": (mesh_path, ("mesh",))})
+    check_outputs({"--output": path}, {"MESH": mesh_path})
     if path.exists() and not force:
         raise StorageError(f"{path}: already exists; add --force to replace it, or choose another name with -o")
     from formats.atomic import replacing
+    from prt_bake.inspection import translucency
+
+    draft = draft_scene(mesh_path, material, size, path, up)
+    with replacing(path) as part:
+        part.write_text(draft.text(), encoding="utf-8")
+    if not draft.material.measured:
+        say(f"{draft.material.name} is {draft.material.source}")
+    if remark := translucency.remark(draft.light, 1.0):
+        say(f"remark: {remark}")
+    paths = draft.light.size / draft.light.transport
+    least, most = translucency.digits(paths.min()), translucency.digits(paths.max())
+    print(
+        f"{path}: {mesh_path.name} in {draft.material.name}, {draft.light.size:.4g} mm long, {least} to {most} "
+        f"transport mean free paths (about 5 to 50 look translucent)"
+    )
+
+
+def draft_scene(
+    mesh_path: Path, material: str | None, size: str | None, path: Path, up: Literal["y", "z"]
+) -> "SceneDraft":
+    """Return the scene of a mesh, to be written to `path`.
+
+    Raises typer.BadParameter for a material or a size that is not known, MeshError for a faulty mesh.
+    """
+    substance, length = _material(material), _length(size)
     from formats.mesh import good_normals, read_mesh
     from prt_bake.cli.start.scene_draft import SceneDraft
-    from prt_bake.inspection import translucency
     from prt_bake.inspection.mesh import find_faults
 
     if faults := find_faults(mesh_path):
@@ -76,19 +101,7 @@ def write_scene(
     mesh = read_mesh(mesh_path)
     unit_in_mm = _unit_in_mm(mesh, mesh_path, length)
     normals: Literal["vertex", "face"] = "vertex" if good_normals(mesh) else "face"
-    draft = SceneDraft(path, mesh_path, mesh, substance, unit_in_mm, up, normals)
-    with replacing(path) as part:
-        part.write_text(draft.text(), encoding="utf-8")
-    if not substance.measured:
-        say(f"{substance.name} is {substance.source}")
-    if remark := translucency.remark(draft.light, 1.0):
-        say(f"remark: {remark}")
-    paths = draft.light.size / draft.light.transport
-    least, most = translucency.digits(paths.min()), translucency.digits(paths.max())
-    print(
-        f"{path}: {mesh_path.name} in {substance.name}, {draft.light.size:.4g} mm long, {least} to {most} transport "
-        f"mean free paths (about 5 to 50 look translucent)"
-    )
+    return SceneDraft(path, mesh_path, mesh, substance, unit_in_mm, up, normals)
 
 
 def _material(name: str | None) -> "Material":
