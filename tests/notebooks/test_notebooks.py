@@ -7,6 +7,7 @@ from typing import Any
 import nbformat
 import pytest
 from nbclient import NotebookClient
+from nbclient.exceptions import CellTimeoutError
 
 import prt_bake as prt
 from tests import ROOT
@@ -14,8 +15,8 @@ from tests import ROOT
 pytestmark = pytest.mark.statistics
 
 PATHS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-SECONDS_PER_CELL = 1800
-"""Timeout of a cell; compiling kernels on busy cores takes minutes."""
+SECONDS_PER_CELL = 300
+"""Timeout of a cell; a training on busy cores takes minutes."""
 
 
 @pytest.fixture(params=PATHS, ids=[path.stem for path in PATHS])
@@ -86,9 +87,23 @@ def test_linked_files_exist(path: Path) -> None:
 @pytest.mark.usefixtures("compiled_kernels")
 def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its assertions hold and its plots are drawn, without warnings and without files left behind."""
-    working, temporary, settings = (tmp_path / name for name in ("working", "temporary", "settings"))
-    for folder in (working, temporary, settings):
-        folder.mkdir()
+    try:
+        notebook = executed(path, tmp_path / "first", monkeypatch)
+    except CellTimeoutError:  # on a busy machine Jupyter may lose the reply of a cell
+        notebook = executed(path, tmp_path / "second", monkeypatch)
+
+    for cell in code_of(notebook):
+        assert cell.execution_count is not None
+        warnings = [output.text for output in cell.outputs if output.get("name") == "stderr"]
+        assert warnings == []
+        assert shows(cell) == has_picture(cell)
+
+
+def executed(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The notebook with its outputs, run in a folder of its own, which it leaves empty."""
+    working, temporary, settings = (folder / name for name in ("working", "temporary", "settings"))
+    for each in (working, temporary, settings):
+        each.mkdir(parents=True)
     monkeypatch.setenv("TMPDIR", str(temporary))
     monkeypatch.setenv("PYTHONWARNINGS", "default")
     # Folders of the Jupyter kernel and of torch.
@@ -99,10 +114,5 @@ def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     notebook = nbformat.read(path, as_version=4)
     in_folder = {"metadata": {"path": str(working)}}
     NotebookClient(notebook, timeout=SECONDS_PER_CELL, kernel_name="python3", resources=in_folder).execute()
-
-    for cell in code_of(notebook):
-        assert cell.execution_count is not None
-        warnings = [output.text for output in cell.outputs if output.get("name") == "stderr"]
-        assert warnings == []
-        assert shows(cell) == has_picture(cell)
     assert list(working.iterdir()) + list(temporary.iterdir()) == []
+    return notebook
