@@ -24,6 +24,7 @@ from tests.baking.test_resume import Walker, same
 pytestmark = pytest.mark.statistics
 
 SMALL = {"rings": 2, "sectors": 16}
+FIXED = {**SMALL, "samples": 64}
 
 
 class Processes:
@@ -132,19 +133,19 @@ def test_a_bake_resumes_after_its_scheduler_is_lost(
     mesh, out = icosphere(1), tmp_path / "a.h5"
     # Errors of the work are raised as they are, not as faults of the cluster.
     with pytest.raises(QueryError, match="returned"):
-        bake(Misshapen(), mesh, **SMALL, scheduler=cluster.address)
+        bake(Misshapen(), mesh, **FIXED, scheduler=cluster.address)
     with pytest.raises(ZeroDivisionError):
-        bake(Faulty(), mesh, **SMALL, scheduler=cluster.address)
+        bake(Faulty(), mesh, **FIXED, scheduler=cluster.address)
     import dask
 
     with (
         dask.config.set({"distributed.comm.timeouts.connect": "2s"}),
         pytest.raises(ClusterError, match="--resume"),
     ):
-        bake(Slow(), mesh, **SMALL, out=out, scheduler=cluster.address, progress=after_first_block(cluster.end))
+        bake(Slow(), mesh, **FIXED, out=out, scheduler=cluster.address, progress=after_first_block(cluster.end))
     assert 1 <= len(list((tmp_path / "a.h5.journal").glob("block-*"))) < 9
-    bake(Slow(), mesh, **SMALL, out=out, resume=True)
-    bake(Slow(), mesh, **SMALL, out=tmp_path / "whole.h5")
+    bake(Slow(), mesh, **FIXED, out=out, resume=True)
+    bake(Slow(), mesh, **FIXED, out=tmp_path / "whole.h5")
     same(out, tmp_path / "whole.h5")
 
 
@@ -178,17 +179,17 @@ def test_missing_schedulers_and_missing_workers_raise(monkeypatch: pytest.Monkey
     with dask.config.set({"distributed.comm.timeouts.connect": "1s"}):
         for address in ("tcp://127.0.0.1:9", "nonsense://nowhere", ""):
             with pytest.raises(ClusterError, match="8786"):
-                bake(Incoherent(), icosphere(0), **SMALL, scheduler=address)
+                bake(Incoherent(), icosphere(0), **FIXED, scheduler=address)
             # An open client closes itself when it is collected, which may block the start of another one forever.
             assert {each.status for each in gc.get_objects() if type(each) is Client} <= {"closed"}
     with pytest.raises(QueryError, match="workers or a scheduler"):
-        bake(Incoherent(), icosphere(0), **SMALL, scheduler="tcp://127.0.0.1:9", workers=2)
+        bake(Incoherent(), icosphere(0), **FIXED, scheduler="tcp://127.0.0.1:9", workers=2)
     monkeypatch.setattr(prt_bake.baking.cluster, "PATIENCE", 0.2)
     monkeypatch.setattr(prt_bake.baking.cluster, "POLL_INTERVAL", 0.1)
     none = Processes(tmp_path)
     try:
         with pytest.raises(ClusterError, match="no worker"):
-            bake(Incoherent(), icosphere(0), **SMALL, scheduler=none.address)
+            bake(Incoherent(), icosphere(0), **FIXED, scheduler=none.address)
     finally:
         none.end()
 
@@ -212,5 +213,5 @@ def test_other_versions_on_a_worker_raise() -> None:
 
 def test_a_missing_extra_is_named_in_the_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ClusterError, match=r"prt-bake\[cluster\]"):
-        bake(Incoherent(), icosphere(0), **SMALL, scheduler="tcp://127.0.0.1:9")
+    with pytest.raises(ClusterError, match=r"pip install .dask\[distributed\]"):
+        bake(Incoherent(), icosphere(0), **FIXED, scheduler="tcp://127.0.0.1:9")

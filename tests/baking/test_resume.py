@@ -23,6 +23,7 @@ pytestmark = pytest.mark.statistics
 
 GROUPS = "mesh", "basis", "bins", "transfer", "lobes"
 SMALL = {"rings": 2, "sectors": 16}
+FIXED = {**SMALL, "samples": 64}
 
 
 def contents(path: Path) -> dict[str, np.ndarray]:
@@ -80,17 +81,17 @@ def test_a_stopped_bake_resumes_with_other_blocks(
     tmp_path: Path, transport: object, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, whole = tmp_path / "stopped.h5", tmp_path / "whole.h5"
-    bake(transport, icosphere(0), **SMALL, out=whole).close()
+    bake(transport, icosphere(0), **FIXED, out=whole).close()
     for blocks, size in ((2, 2), (3, 3)):
         monkeypatch.setattr("bakers.baker.block_size", lambda task, size=size: size)
         calls = iter([False] * blocks + [True] * 100)
-        part = bake(transport, icosphere(0), **SMALL, out=out, stop=lambda calls=calls: next(calls), resume=True)
+        part = bake(transport, icosphere(0), **FIXED, out=out, stop=lambda calls=calls: next(calls), resume=True)
         part.close()
         assert not part.complete
         assert (tmp_path / "stopped.h5.journal").is_dir()
     baked: list[int] = []
     monkeypatch.setattr("prt_bake.baking.fixed_samples.bake_block", _counting(baked))
-    resumed = bake(transport, icosphere(0), **SMALL, out=out, workers=2, resume=True)
+    resumed = bake(transport, icosphere(0), **FIXED, out=out, workers=2, resume=True)
     assert sum(baked) == 12 - 2 * 2 - 3
     one = read_asset(whole).provenance
     assert resumed.provenance["evaluations"] == one["evaluations"]
@@ -153,19 +154,19 @@ def test_a_kill_while_finished_blocks_are_removed(
 def test_a_bake_with_changed_arguments_does_not_resume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("bakers.baker.vertices_at_once", lambda bins, directions: 2)
     calls = iter([False] + [True] * 100)
-    bake(Incoherent(), icosphere(0), **SMALL, out=tmp_path / "a.h5", stop=lambda: next(calls)).close()
+    bake(Incoherent(), icosphere(0), **FIXED, out=tmp_path / "a.h5", stop=lambda: next(calls)).close()
     for changed, sentence in (
         ({"samples": 32}, "samples was 64 and is 32"),
         ({"directions": "sobol"}, "directions was 'fibonacci' and is 'sobol'"),
         ({"error": 0.5, "directions": "uniform"}, "error was None and is 0.5"),
     ):
         with pytest.raises(StorageError, match=sentence):
-            bake(Incoherent(), icosphere(0), **SMALL, **changed, out=tmp_path / "a.h5", resume=True)
+            bake(Incoherent(), icosphere(0), **{**FIXED, **changed}, out=tmp_path / "a.h5", resume=True)
 
 
 def test_a_full_disk_loses_no_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out, whole = tmp_path / "a.h5", tmp_path / "whole.h5"
-    bake(Incoherent(), icosphere(0), **SMALL, out=whole).close()
+    bake(Incoherent(), icosphere(0), **FIXED, out=whole).close()
     monkeypatch.setattr("bakers.baker.vertices_at_once", lambda bins, directions: 2)
     save, left = np.savez, [3]
 
@@ -178,10 +179,10 @@ def test_a_full_disk_loses_no_block(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     with monkeypatch.context() as during:
         during.setattr("formats.journal.np.savez", full)
         with pytest.raises(StorageError, match="disk is full"):
-            bake(Incoherent(), icosphere(0), **SMALL, out=out)
+            bake(Incoherent(), icosphere(0), **FIXED, out=out)
     assert len(list((tmp_path / "a.h5.journal").glob("*.npz"))) == 3
     assert not out.exists()
-    bake(Incoherent(), icosphere(0), **SMALL, out=out, resume=True).close()
+    bake(Incoherent(), icosphere(0), **FIXED, out=out, resume=True).close()
     same(out, whole)
 
 
@@ -194,10 +195,10 @@ def test_a_disk_too_full_for_the_asset_loses_no_block(tmp_path: Path, monkeypatc
     with monkeypatch.context() as during:
         during.setattr("formats.asset.asset_file.AssetFile.close", full)
         with pytest.raises(StorageError, match="disk is full"):
-            bake(Incoherent(), icosphere(0), **SMALL, out=out)
+            bake(Incoherent(), icosphere(0), **FIXED, out=out)
     baked: list[int] = []
     monkeypatch.setattr("prt_bake.baking.fixed_samples.bake_block", _counting(baked))
-    assert bake(Incoherent(), icosphere(0), **SMALL, out=out, resume=True).complete
+    assert bake(Incoherent(), icosphere(0), **FIXED, out=out, resume=True).complete
     assert baked == []
 
 
