@@ -55,7 +55,7 @@ def short(value: Any) -> str:
 def _array(array: Any) -> str:
     try:
         shape, kind = list(array.shape), str(array.dtype)
-    except Exception:  # an open dataset of a file that was closed
+    except (ValueError, RuntimeError):  # h5py, for a dataset of a file that was closed
         return "of a closed file"
     if not isinstance(array, np.ndarray):
         return f"{kind} {shape} in {type(array).__name__}"

@@ -141,7 +141,7 @@ def train(
             if with_importance:
                 after_training.importance(network, read, output, seed, budget)
         if not reported:
-            print(f"{output}: {after_training.verdict_of(network)}")
+            print(f"{output}: {after_training.quality_of(network)}")
         if stop():
             raise PrtbakeError(f"{output}: the model is complete, and what should follow it was stopped")
     say_next("prtbake", "bake", output, read.mesh_path, "-o", output.with_suffix(".h5"))

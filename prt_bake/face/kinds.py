@@ -128,12 +128,16 @@ def share(name: str, value: Any) -> float:
     return number
 
 
-def count(name: str, value: Any) -> int:
-    """A whole number of 1 or more."""
-    number = arguments.whole_number(name, value)
-    if number < 1:
-        raise QueryError(f"{name} must be at least 1, found {number}")
-    return number
+def at_least(least: int) -> Check:
+    """Check of a whole number."""
+
+    def check(name: str, value: Any) -> int:
+        number = arguments.whole_number(name, value)
+        if number < least:
+            raise QueryError(f"{name} must be at least {least}, found {number}")
+        return number
+
+    return check
 
 
 def suns(name: str, value: Any) -> Any:
@@ -218,14 +222,6 @@ def coefficients(name: str, value: Any) -> Any:
     return array
 
 
-def seed(name: str, value: Any) -> int:
-    """A key of random numbers."""
-    number = arguments.whole_number(name, value)
-    if number < 0:
-        raise QueryError(f"{name} must be at least 0, found {number}")
-    return number
-
-
 def flag(name: str, value: Any) -> bool:
     """True or False; a text such as "no" would count as True."""
     if isinstance(value, bool | np.bool_):
@@ -275,7 +271,7 @@ KINDS: dict[str, Check] = {
     "lighting": lighting,
     "lights": lights,
     "camera": camera,
-    "seed": seed,
+    "seed": at_least(0),
     "mask": mask,
     "device": device,
     "leave_out": collection,
@@ -292,7 +288,7 @@ KINDS: dict[str, Check] = {
     **dict.fromkeys(("positions", "outgoing", "incident", "origin"), arguments.numbers),
     **dict.fromkeys(("degree", "rings", "sectors", "lobes", "most", "paths", "samples", "steps"), WHOLE),
     **dict.fromkeys(("spp", "width", "height", "most_rows"), WHOLE),
-    **dict.fromkeys(("workers", "connections", "turns"), count),
+    **dict.fromkeys(("workers", "connections", "turns"), at_least(1)),
     **dict.fromkeys(("error", "fov", "extent", "scale"), arguments.real_number),
     **dict.fromkeys(("minutes", "every"), duration),
     **dict.fromkeys(("degrees", "rotate", "exposure"), finite),

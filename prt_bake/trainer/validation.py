@@ -18,7 +18,7 @@ from prt_bake.mathematics.noise_free import Interval, Sums, relative_rmse
 from prt_bake.mathematics.sphere import fibonacci
 from prt_bake.tracer.estimate import estimate_coefficients
 from prt_bake.tracer.prepared import PreparedScene, is_unrefracted, prepare, smooth_part
-from prt_bake.trainer.references import FIRST_BATCHES, Follow, Traced, silent, trace_reference
+from prt_bake.trainer.references import FIRST_BATCHES, Estimate, Follow, Predict, Traced, silent, trace_reference
 from prt_bake.trainer.samples.queries import Queries, QuerySource
 from prt_bake.trainer.samples.rows import trace_values
 
@@ -134,16 +134,7 @@ def _traced_values(
         some = queries.select(rows)
         return np.asarray(network.evaluate(some.incident, some.positions, some.outgoing))
 
-    traced = trace_reference(
-        estimate,
-        count,
-        *_batches(walks),
-        predict=None if network is None else predict,
-        until_precise=False,
-        seconds=seconds,
-        seed=seed,
-        follow=follow,
-    )
+    traced = _traced(estimate, None if network is None else predict, count, walks, seed, seconds, follow)
     return queries.select(slice(0, len(traced))), traced
 
 
@@ -188,17 +179,24 @@ def _traced_coefficients(
         some = queries.select(rows)
         return network_coefficients(network, some.positions, some.outgoing)
 
-    traced = trace_reference(
-        estimate,
-        count,
-        *_batches(walks),
-        predict=None if network is None else predict,
-        until_precise=False,
-        seconds=seconds,
-        seed=seed + 1,
-        follow=follow,
-    )
+    traced = _traced(estimate, None if network is None else predict, count, walks, seed + 1, seconds, follow)
     return queries.select(slice(0, len(traced))), traced
+
+
+def _traced(
+    estimate: Estimate,
+    predict: Predict | None,
+    count: int,
+    walks: int,
+    seed: int,
+    seconds: float,
+    follow: Follow,
+) -> Traced:
+    """Trace `count` queries with `walks` walks each, fewer if `seconds` are over."""
+    batches = _batches(walks)
+    return trace_reference(
+        estimate, count, *batches, predict=predict, until_precise=False, seconds=seconds, seed=seed, follow=follow
+    )
 
 
 def _batches(walks: int) -> tuple[int, int]:

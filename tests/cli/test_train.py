@@ -28,7 +28,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(train, "learning_for", lambda _data: FEW)
 
 
-def test_minutes_end_with_a_verdict_and_parts_without_time_are_left_out(
+def test_minutes_end_with_a_sentence_on_quality_and_parts_without_time_are_left_out(
     prtbake: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(budget, "_LATE", 1e9)
@@ -38,7 +38,7 @@ def test_minutes_end_with_a_verdict_and_parts_without_time_are_left_out(
     assert "no importance module: no time is left for it; to fit it later, run 'prtbake importance " in trained.err
     assert {path.name for path in tmp_path.iterdir()} == {"m.pt", "m.train.pt"}
     error = load_model(tmp_path / "m.pt").metadata["training"]["relative_rmse"]["coefficients"]
-    assert f"m.pt: a_lm is {100 * error:.1f} % off (" in trained.out
+    assert f"m.pt: the network is {100 * error:.1f} % off (" in trained.out
     assert "ten minutes more would bring about" in trained.out
 
 

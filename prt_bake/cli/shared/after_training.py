@@ -19,7 +19,7 @@ _MOST_SECONDS = {"report": 40.0, "importance": 60.0}
 def report(
     network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int, budget: "Budget | None" = None, module: bool = True
 ) -> bool:
-    """Write MODEL.report.json and MODEL.report.html, print the criteria and the verdict, and return whether it is done.
+    """Write MODEL.report.json and MODEL.report.html, print the criteria and the quality, and return whether it is done.
 
     budget: the wall time of the training with what follows; `module`: whether the importance module still follows.
     Prints errors instead of raising; Ctrl-C is raised after a message.
@@ -100,13 +100,13 @@ def importance(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int, 
     )
 
 
-def verdict_of(network: "NeuralBSSRDF") -> str:
-    """The verdict on the final errors of a training."""
+def quality_of(network: "NeuralBSSRDF") -> str:
+    """The quality of a model by the final errors of its training, in words."""
+    from prt_bake.trainer.report.quality import quality
     from prt_bake.trainer.report.summary import final_error
-    from prt_bake.trainer.report.verdict import verdict
 
     training = network.metadata["training"]
-    return verdict(final_error(training["relative_rmse"]), training["seconds"] / 60.0, training["walks"])
+    return quality(final_error(training["relative_rmse"]), training["seconds"] / 60.0, training["walks"])
 
 
 def show_part(show: Report, text: str, share: float, budget: "Budget | None") -> None:

@@ -26,7 +26,7 @@ img { display: block; height: auto; width: 100%; image-rendering: pixelated }
 svg { display: block; height: auto; max-width: 100%; width: 100%; margin: .6rem 0 }
 svg text { font-family: system-ui, sans-serif !important }
 .met { color: var(--met) } .not { color: var(--missed) } .undecided { color: var(--open) }
-b.verdict { white-space: nowrap } p.verdict { font-size: 1.1rem; font-weight: 600 }
+b.result { white-space: nowrap } p.quality { font-size: 1.1rem; font-weight: 600 }
 """
 
 
@@ -50,7 +50,7 @@ def training_page(report: dict[str, Any]) -> str:
     sections = [
         f"<h1>Accuracy of the model of {escape(model['scene'])}</h1>",
         f'<p class="under">{_trained(model)} Intervals are 95 % confidence intervals.</p>',
-        f"<p class='verdict'>{escape(report['summary'][0])}</p>",
+        f"<p class='quality'>{escape(report['summary'][0])}</p>",
         _criteria(report["criteria"]),
         f"<ul>{''.join(f'<li>{escape(sentence)}</li>' for sentence in report['summary'][1:])}</ul>",
         _section("The network's error and the reference's noise", plots["split"], _split_table(report)),
@@ -110,13 +110,13 @@ def _trained(model: dict[str, Any]) -> str:
 def _criteria(rows: list[dict[str, Any]]) -> str:
     cells = []
     for row in rows:
-        verdict = f'<b class="verdict {row["verdict"].split()[0]}">{escape(row["verdict"])}</b>'
+        result = f'<b class="result {row["verdict"].split()[0]}">{escape(row["verdict"])}</b>'
         if "unit" in row:
             bound, figure = f"{row['bound']:g}", f"{row['value']:.4f} ({row['low']:.4f} to {row['high']:.4f})"
         else:
             bound, figure = (f"{100 * row['bound']:g} %", _percent(row)) if "bound" in row else ("", "")
-        cells.append([escape(row["name"]), bound, figure, verdict])
-    return _table(["criterion", "at most", "measured", "verdict"], cells)
+        cells.append([escape(row["name"]), bound, figure, result])
+    return _table(["criterion", "at most", "measured", "result"], cells)
 
 
 def _split_table(report: dict[str, Any]) -> str:

@@ -8,7 +8,7 @@ from formats.scene import Scene
 from prt_bake.mathematics.noise_free import Interval
 from prt_bake.tracer.prepared import interface_kind
 from prt_bake.tracer.surface.interface import MATCHED
-from prt_bake.trainer.report.verdict import verdict
+from prt_bake.trainer.report.quality import quality
 
 COEFFICIENTS_PLAIN, COEFFICIENTS = 0.05, 0.10
 """Largest relative RMSE of a_lm for a homogeneous, index-matched object, and for any other."""
@@ -17,7 +17,7 @@ _FEW = 30.0
 
 
 def criteria(found: dict[str, Any], scene: Scene) -> list[dict[str, Any]]:
-    """The criteria with figures and verdicts: "met", "not met", or "undecided" if the interval contains the bound."""
+    """The criteria with figures and results: "met", "not met", or "undecided" if the interval contains the bound."""
     plain = interface_kind(scene) == MATCHED and is_homogeneous(scene)
     bound = COEFFICIENTS_PLAIN if plain else COEFFICIENTS
     kind = "homogeneous, index-matched" if plain else "heterogeneous or with an interface"
@@ -37,11 +37,11 @@ def criteria(found: dict[str, Any], scene: Scene) -> list[dict[str, Any]]:
             white["percentile_95_of_views"],
         ),
     ]
-    verdicts = [
+    criteria = [
         {"name": name, "bound": most, **figure, "verdict": Interval(**figure).within(most)}
         for name, most, figure in rows
     ]
-    return [*verdicts, _seam_criterion(found["seams"])]
+    return [*criteria, _seam_criterion(found["seams"])]
 
 
 def _seam_criterion(seams: dict[str, Any]) -> dict[str, Any]:
@@ -73,7 +73,7 @@ def percent(figure: dict[str, float]) -> str:
 
 
 def criterion_line(row: dict[str, Any]) -> str:
-    """A criterion as a line of text: verdict, name, bound and figure, in percent unless the row has a unit."""
+    """A criterion as a line of text: result, name, bound and figure, in percent unless the row has a unit."""
     if "bound" not in row:
         return f"{row['verdict']:10} {row['name']}"
     formats = ("{:g}", "{:.4f}") if row.get("unit") else ("{:.0%}", "{:.2%}")
@@ -87,7 +87,7 @@ def sentences(found: dict[str, Any]) -> list[str]:
     measured, final = Interval(**found["coefficients"]["surface"]["network"]), final_error(model["final_errors"])
     # Both are right; the narrower interval says more.
     narrower = final if _width(final) < _width(measured) else measured
-    summary = [verdict(narrower, model["training_seconds"] / 60.0, model["walks"])]
+    summary = [quality(narrower, model["training_seconds"] / 60.0, model["walks"])]
     if found["transport"] is not None:
         summary.append(f"Relative RMSE of Ŝ on fresh queries: {_error_text(found['transport'])}")
     else:

@@ -142,16 +142,16 @@ def test_a_report_without_time_has_no_pictures_and_says_so(tmp_path, monkeypatch
     found, _page = report_training(network, scene, tmp_path / "m.pt", within=0.0, follow=shares.append)
     assert found["pictures"] == []
     assert "the time was too short" in found["summary"][-1]
-    assert found["summary"][0].startswith("a_lm is ")
+    assert found["summary"][0].startswith("the network is ")
     assert found["reference"]["coefficients"]["queries"] == 8
     assert shares == sorted(shares)
 
 
-def test_the_verdict_is_on_the_narrower_interval(report):
+def test_the_quality_is_that_of_the_narrower_interval(report):
     own = report["coefficients"]["surface"]["network"]
     for spread, value in ((1e-3, 0.061), (10.0, own["value"])):
         final = {"coefficients": 0.061, "coefficients_interval": [0.061 / (1.0 + spread), 0.061 * (1.0 + spread)]}
         text = sentences({**report, "model": {**report["model"], "final_errors": final}})
-        assert text[0].startswith(f"a_lm is {100 * value:.1f} % off (")
+        assert text[0].startswith(f"the network is {100 * value:.1f} % off (")
         assert "At the end of the training, at other queries: 6.10%" in text[2]
     assert "At the end" not in "".join(report["summary"])

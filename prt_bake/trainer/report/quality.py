@@ -1,4 +1,4 @@
-"""A verdict on a trained model in words: its error, what more training would bring, and what the model is good for."""
+"""The quality of a trained model in words: its error, what it is good for, and what more training would bring."""
 
 import math
 
@@ -19,18 +19,20 @@ _LITTLE = 0.95
 """More training that leaves more than this part of the error is not worth mentioning."""
 
 
-def verdict(error: Interval, minutes: float, walks: float) -> str:
+def quality(error: Interval, minutes: float, walks: float) -> str:
     """Judge a relative RMSE of a_lm after some minutes of learning from some walks.
 
-    >>> verdict(Interval(0.044, 0.041, 0.047), minutes=10.0, walks=1e8)
-    'a_lm is 4.4 % off (4.1 to 4.7): good for final pictures; ten minutes more would bring about 4 % (extrapolated)'
+    >>> quality(Interval(0.044, 0.041, 0.047), minutes=0.0, walks=1e8)
+    'the network is 4.4 % off (4.1 to 4.7): good for final pictures'
     """
     if not math.isfinite(error.value):
-        return "the error of a_lm is unknown: the noise of its reference hides it"
+        return "the error of the network is unknown: the noise of its reference hides it"
     interval = "" if not math.isfinite(error.low) else f" ({100 * error.low:.1f} to {100 * error.high:.1f})"
     use, worst = _use(error.value), _use(error.high)
     doubt = f", or only {worst}" if worst not in ("", use) else ""
-    return f"a_lm is {100 * error.value:.1f} % off{interval}: {use}{doubt}{_outlook(error.value, minutes, walks)}"
+    return (
+        f"the network is {100 * error.value:.1f} % off{interval}: {use}{doubt}{_outlook(error.value, minutes, walks)}"
+    )
 
 
 def _use(error: float) -> str:

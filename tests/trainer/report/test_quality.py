@@ -1,0 +1,36 @@
+"""The quality of a model: its error in words, and what more training would bring."""
+
+import math
+
+import pytest
+
+from prt_bake.mathematics.noise_free import Interval
+from prt_bake.trainer.report.quality import LEVELS, quality
+
+
+@pytest.mark.parametrize(("error", "words"), [(0.04, LEVELS[0][1]), (0.09, LEVELS[1][1]), (0.15, LEVELS[2][1])])
+def test_an_error_has_a_use(error: float, words: str) -> None:
+    text = quality(Interval(error, 0.9 * error, 1.1 * error), 5.0, 1e6)
+    assert text.startswith(f"the network is {100 * error:.1f} % off ({90 * error:.1f} to {110 * error:.1f}): {words}; ")
+
+
+def test_a_wide_interval_leaves_doubt() -> None:
+    text = quality(Interval(0.088, 0.0, 0.17), 2.0, 1e6)
+    assert "(0.0 to 17.0): good for previews and real-time use, or only good for a first look; " in text
+    assert "good for a first look, or only a rough impression" in quality(Interval(0.15, 0.1, 0.3), 2.0, 1e6)
+    assert "or only" not in quality(Interval(0.4, 0.3, 0.5), 2.0, 1e6)
+
+
+def test_more_time_brings_less_the_longer_a_training_was() -> None:
+    """By the exponents of docs/training.md: dragon's stand-in went from 10.7 % after 2 minutes to 8.4 % after 10."""
+    assert "ten minutes more would bring about 8 % (extrapolated)" in quality(Interval(0.107, 0.1, 0.11), 2.0, 5.8e6)
+    assert "ten minutes more would bring about 9 % (extrapolated)" in quality(Interval(0.1, 0.09, 0.11), 10.0, 3e7)
+    assert "about 11 %" in quality(Interval(0.169, 0.15, 0.18), 0.6, 1e6)
+    assert "twice the time would bring about 9 % (extrapolated)" in quality(Interval(0.1, 0.09, 0.11), 60.0, 1e9)
+    assert "more would" not in quality(Interval(0.1, 0.09, 0.11), 0.0, 0.0)
+
+
+def test_an_unknown_error_or_interval_is_no_number() -> None:
+    nan = math.nan
+    assert "unknown" in quality(Interval(nan, nan, nan), 1.0, 1e6)
+    assert quality(Interval(0.3, nan, nan), 1.0, 1e6).startswith("the network is 30.0 % off: a rough impression; ")
