@@ -69,6 +69,12 @@ def light_for(asset: Asset, lighting: Lighting, suns: SunTreatment = "split") ->
     return AssetLight(divided.whole, (), divided.whole, divided.found, lobes)
 
 
+def refuse_missing_lobes(light: AssetLight, asset: Asset) -> None:
+    """Raise QueryError for a light of lobes and an asset without, whose suns it would miss."""
+    if light.lobes is not None and asset.lobes is None:
+        raise QueryError("light: was prepared for an asset with lobes; prt.light_for(asset, lighting) prepares another")
+
+
 def as_asset_light(light: "AssetLight | ArrayLike | None", suns: Sequence[DirectionalLight]) -> AssetLight:
     """A prepared light, or coefficients with suns beside them.
 

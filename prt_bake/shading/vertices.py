@@ -11,7 +11,7 @@ from formats.errors import QueryError, refuse_path
 from formats.scene.lights import DirectionalLight
 from prt_bake.geometry.camera import refuse_eye_in_object
 from prt_bake.mathematics import sh, sphere
-from prt_bake.shading.asset_light import AssetLight, as_asset_light
+from prt_bake.shading.asset_light import AssetLight, as_asset_light, refuse_missing_lobes
 from prt_bake.shading.reconstruction import reconstruct
 from prt_bake.shading.sun_shading import sun_radiance
 
@@ -80,8 +80,7 @@ def shade_vertices(
             "asset: no vertex was baked, there is nothing to show; bake it again (--resume finishes a partial bake)"
         )
     prepared = as_asset_light(light, suns)
-    if prepared.lobes is not None and asset.lobes is None:
-        raise QueryError("light: was prepared for an asset with lobes; prt.light_for(asset, lighting) prepares another")
+    refuse_missing_lobes(prepared, asset)
     suns = prepared.suns
     weights = light_coefficients(asset, prepared.harmonics)
     if suns and asset.quantity == "radiance":

@@ -2,6 +2,7 @@
 
 import inspect
 import pickle
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -55,7 +56,14 @@ def test_a_record_is_one_screen() -> None:
     assert "error unknown" in repr(prt.NeuralBSSRDF())
 
 
-def test_values_are_told_apart() -> None:
+def test_the_record_of_a_closed_file_says_so(tmp_path: Path) -> None:
+    prt.write_asset(make_asset(ball(3)), tmp_path / "a.h5")
+    asset = prt.read_asset(tmp_path / "a.h5")
+    asset.close()
+    assert "coefficients: of a closed file" in repr(asset)
+
+
+def test_values_are_distinct() -> None:
     values = {
         "[1, 2.5]": np.array([1.0, 2.5]),
         "float64 [2, 2], 0 to 1, 2 not finite": np.array([[0.0, np.nan], [1.0, np.inf]]),

@@ -3,8 +3,10 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import prt_bake as prt
+from formats.errors import QueryError
 from prt_bake.lights.lighting import Lighting, Sky, read_lighting
 from prt_bake.shading.frames.frames import Frames
 from tests.baking.lobes.transports import MESH, Lobed, along_normal
@@ -30,6 +32,16 @@ def test_lobes_are_those_of_shade() -> None:
         np.testing.assert_allclose(frames.draw(eye), turned, atol=0.01 * turned.max())
         frames.light(light.whole)
         np.testing.assert_allclose(frames.draw(eye), prt.shade(asset, light.whole, eye), rtol=1e-4, atol=1e-5)
+
+
+def test_a_light_of_lobes_needs_an_asset_with_lobes() -> None:
+    lighting = read_lighting("sun:0.3,1,0.2:2,2,2:0.5")
+    plain, lobed = (prt.bake(Lobed(), MESH, rings=4, sectors=8, samples=18, lobes=lobes) for lobes in (0, 4))
+    light = prt.light_for(lobed, lighting)
+    with pytest.raises(QueryError, match="prepared for an asset with lobes"):
+        prt.shade(plain, light, [0.5, 2.0, -2.5])
+    with pytest.raises(QueryError, match="prepared for an asset with lobes"):
+        Frames(plain).light(light)
 
 
 def test_compact_assets_keep_their_lobes(tmp_path: Path) -> None:

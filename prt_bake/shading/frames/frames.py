@@ -17,7 +17,7 @@ from prt_bake.face.assets import point as require_point
 from prt_bake.jit.threads import using_threads
 from prt_bake.jit.vectors import laid_out
 from prt_bake.lights.environment import rotate_light, rotation
-from prt_bake.shading.asset_light import AssetLight
+from prt_bake.shading.asset_light import AssetLight, refuse_missing_lobes
 from prt_bake.shading.frames import codes, holding, kernels
 from prt_bake.shading.frames.batches import GEOMETRY, LANE, make_scratch
 from prt_bake.shading.frames.lobes import FrameLobes
@@ -101,6 +101,7 @@ class Frames:
         """
         light = light_of_vertices("light", light)
         prepared = light if isinstance(light, AssetLight) else AssetLight(light, whole=light)
+        refuse_missing_lobes(prepared, self._asset)
         coefficients = light_coefficients(self._asset, prepared.whole)
         if np.abs(coefficients).max() > np.finfo(np.float32).max:
             raise QueryError(f"light: expected coefficients within float32, found {np.abs(coefficients).max():.3g}")
