@@ -47,7 +47,7 @@ def short(value: Any) -> str:
         return _cut(repr(value)) if len(value) <= _FEW and _plain(value) else f"{len(value)} {_kinds(value)}"
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return _record(value)
-    if hasattr(value, "dtype") and hasattr(value, "shape"):
+    if hasattr(type(value), "dtype") and hasattr(type(value), "shape"):  # of a closed dataset the values raise
         return _array(value)
     return _cut(repr(value))
 
