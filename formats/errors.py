@@ -5,8 +5,6 @@ Each message is one sentence: file, place, expected, found, remedy.
 
 import os
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 
 class InputWarning(UserWarning):
@@ -75,15 +73,6 @@ def refuse_path(name: str, value: object, reader: str) -> None:
         raise QueryError(
             f"{name}: expected what {reader}(path) returns, found the path {os.fspath(value)}; read the file first"
         )
-
-
-@contextmanager
-def requires_matplotlib(task: str) -> Iterator[None]:
-    """Context of imports from matplotlib. Raises PrtbakeError, which begins with the task, if it is not installed."""
-    try:
-        yield
-    except ImportError:
-        raise PrtbakeError(f"{task}: matplotlib is not installed; pip install matplotlib") from None
 
 
 def warn(sentence: str) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from formats.atomic import replacing
-from formats.errors import requires_matplotlib
+from formats.extras import require
 from prt_bake.bases.rows import Estimate, Row
 
 
@@ -55,9 +55,10 @@ def plot(rows: list[Row], lights: list[str], path: Path) -> None:
 
     Raises PrtbakeError if the extra `evaluate` is not installed, StorageError if `path` cannot be written.
     """
-    with requires_matplotlib("report"):
-        from matplotlib.figure import Figure
-        from matplotlib.ticker import LogLocator, NullFormatter
+    require("report", "matplotlib")
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter
+
     figure = Figure(figsize=(2.5 + 5.0 * (1 + len(lights)), 5.0), layout="constrained")
     for number, name in enumerate(["Ŝ", *lights]):
         axes = figure.add_subplot(1, 1 + len(lights), number + 1)

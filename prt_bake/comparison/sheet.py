@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.atomic import replacing
-from formats.errors import requires_matplotlib
+from formats.extras import require
 from formats.image import write_image
 from formats.image.png import to_linear, to_srgb
 from prt_bake.comparison.flip import PIXELS_PER_DEGREE
@@ -76,8 +76,9 @@ def write_sheet(
 
     Raises PrtbakeError if the extra `evaluate` is not installed, StorageError if the file cannot be written.
     """
-    with requires_matplotlib("compare"):
-        from matplotlib.figure import Figure
+    require("compare", "matplotlib")
+    from matplotlib.figure import Figure
+
     exposed = [np.asarray(part, np.float64) * 2.0**exposure for part in (image, reference)]
     difference = (exposed[0] - exposed[1]).mean(axis=2)
     maps = [found.flip_map] + ([] if found.hdr_flip_map is None else [found.hdr_flip_map])
@@ -214,6 +215,7 @@ def _round_up(value: float) -> float:
 
 
 def _false_colours(values: NDArray[np.floating], name: str) -> Array:
-    with requires_matplotlib("compare"):
-        from matplotlib import colormaps
+    require("compare", "matplotlib")
+    from matplotlib import colormaps
+
     return np.asarray(colormaps[name](np.clip(values, 0.0, 1.0))[..., :3], np.float64)

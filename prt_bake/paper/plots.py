@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from formats.atomic import replacing
-from formats.errors import requires_matplotlib
+from formats.extras import require
 from prt_bake.paper.results import BARS
 from prt_bake.paper.times import Trained, power_law
 
@@ -91,8 +91,9 @@ def plot_times(scenes: Mapping[str, Sequence[Trained]], path: Path) -> None:
 
 
 def _figure() -> tuple[Any, Any]:
-    with requires_matplotlib("report"):
-        from matplotlib.figure import Figure
+    require("report", "matplotlib")
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(7.0, 4.5), layout="constrained")
     return figure, figure.add_subplot()
 

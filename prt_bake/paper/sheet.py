@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from formats.atomic import replacing
-from formats.errors import requires_matplotlib
+from formats.extras import require
 from formats.image.png import to_srgb
 
 CELL = 192
@@ -69,8 +69,9 @@ def encoded(image: NDArray[np.floating], stops: float) -> NDArray[np.uint8]:
 
 def coloured(values: NDArray[np.floating], largest: float = 1.0, name: str = "magma") -> NDArray[np.uint8]:
     """Return values [H,W] from 0 to `largest` in a colour map of matplotlib, [H,W,3]."""
-    with requires_matplotlib("report"):
-        from matplotlib import colormaps
+    require("report", "matplotlib")
+    from matplotlib import colormaps
+
     colours = colormaps[name](np.clip(np.asarray(values, np.float64) / largest, 0.0, 1.0))
     return np.rint(255.0 * colours[..., :3]).astype(np.uint8)
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from formats.atomic import replacing
-from formats.errors import requires_matplotlib
+from formats.extras import require
 from prt_bake.shading.picture import Picture
 
 Array = NDArray[np.float64]
@@ -47,8 +47,9 @@ def error_colours(picture: Picture) -> tuple[NDArray[np.uint8], float]:
 
     Raises PrtbakeError without matplotlib.
     """
-    with requires_matplotlib("error picture"):
-        from matplotlib import colormaps
+    require("error picture", "matplotlib")
+    from matplotlib import colormaps
+
     relative = relative_errors(picture, np.asarray(picture.layers["radiance"], np.float64))
     outside = np.isnan(relative)
     largest = 0.0 if outside.all() else float(np.nanpercentile(relative, _PERCENTILE))

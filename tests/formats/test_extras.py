@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from formats.errors import PrtbakeError, requires_matplotlib
+from formats.errors import PrtbakeError
 from formats.extras import EVALUATE, missing_sentence, require
 from tests.cli.command_line import Run
 
@@ -30,8 +30,8 @@ def test_missing_packages_are_named_as_pip_names_them(monkeypatch: pytest.Monkey
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     sentence = "matplotlib, scikit-image are not installed; pip install matplotlib scikit-image"
     assert missing_sentence(*EVALUATE) == sentence
-    with pytest.raises(PrtbakeError, match="report: matplotlib is not installed"), requires_matplotlib("report"):
-        import matplotlib.pyplot  # noqa: F401
+    with pytest.raises(PrtbakeError, match="report: matplotlib is not installed; pip install matplotlib"):
+        require("report", "matplotlib")
 
 
 @pytest.mark.parametrize("line", LINES)

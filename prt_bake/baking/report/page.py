@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from formats.atomic import replacing
-from formats.errors import requires_matplotlib
+from formats.extras import require
 from prt_bake.baking.report.budget import Part
 from prt_bake.baking.report.methods import Row, seconds_for, slope
 
@@ -85,8 +85,9 @@ def plot(rows: list[Row], path: str | Path) -> None:
 
     Raises PrtbakeError if the extra `evaluate` is not installed, StorageError if `path` cannot be written.
     """
-    with requires_matplotlib("report"):
-        from matplotlib.figure import Figure
+    require("report", "matplotlib")
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(7.0, 5.0), layout="constrained")
     axes = figure.add_subplot()
     for method, own in rows_by_method(rows).items():

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from formats.asset import Asset
 from formats.atomic import replacing
-from formats.errors import requires_matplotlib
+from formats.extras import require
 
 REACHED = 1.02
 """Times the requested error that still counts as reached."""
@@ -59,9 +59,10 @@ def plot_error(ladder: NDArray[np.float64], baked: NDArray[np.float64], path: st
 
     Raises PrtbakeError if the extra `evaluate` is not installed, StorageError if `path` cannot be written.
     """
-    with requires_matplotlib("report"):
-        from matplotlib.figure import Figure
-        from matplotlib.ticker import LogLocator, NullFormatter
+    require("report", "matplotlib")
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter
+
     figure = Figure(figsize=(6.0, 4.0), layout="constrained")
     axes = figure.add_subplot()
     axes.loglog(

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from formats.errors import requires_matplotlib
+from formats.extras import require
 
 _INK = "#010203"
 """Placeholder that the page replaces by its text colour."""
@@ -38,9 +38,10 @@ def draw(report: dict[str, Any]) -> dict[str, str]:
 
     Raises PrtbakeError if the extra `evaluate` is not installed.
     """
-    with requires_matplotlib("report"):
-        import matplotlib
-        from matplotlib.figure import Figure
+    require("report", "matplotlib")
+    import matplotlib
+    from matplotlib.figure import Figure
+
     plots: dict[str, tuple[tuple[float, float], Callable[[Any, dict[str, Any]], None]]] = {
         "split": ((7.2, 2.9), _draw_split),
         "angles": ((9.6, 3.1), _draw_angles),
