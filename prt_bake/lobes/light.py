@@ -57,6 +57,18 @@ class LobeLight(NamedTuple):
         """The light under a rotation [3,3] of object space."""
         return self._replace(turn=self.turn @ rotation.T)
 
+    def skies_alone(self) -> "LobeLight":
+        """The light without its suns."""
+        return self._with_suns(slice(0))
+
+    def sun_alone(self, number: int) -> "LobeLight":
+        """One of the suns, without anything else."""
+        empty = self._replace(texels=self.texels[:0], sizes=self.sizes[:0], starts=self.starts[:0])
+        return empty._with_suns(slice(number, number + 1))
+
+    def _with_suns(self, some: slice) -> "LobeLight":
+        return self._replace(directions=self.directions[some], irradiance=self.irradiance[some], discs=self.discs[some])
+
 
 def lobe_light(lighting: Lighting, degree: int, least: float, most: float) -> LobeLight:
     """A lighting for lobes of a sharpness from `least` to `most`, beside harmonics up to `degree`."""

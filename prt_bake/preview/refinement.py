@@ -81,13 +81,13 @@ class Refinement:
         self, asset: Asset, light: AssetLight, eye: NDArray[np.float64], radiance: NDArray[np.float32], closed: bool
     ) -> None:
         """light: after its rotation. radiance: unrefined. closed: skip the vertices that face away from the eye."""
-        from prt_bake.shading.vertices import eye_bin_coordinates
+        from prt_bake.shading.vertices import eye_in_frames
 
         self.eye, self.radiance = eye, np.array(radiance)
         self._asset, self._light = asset, light
         visible = facing(asset.mesh, eye) if closed else np.ones(len(asset.valid), np.bool_)
         self._vertices = np.flatnonzero(asset.valid & visible)
-        self._bins = eye_bin_coordinates(asset, eye, self._vertices)
+        self._local = eye_in_frames(asset, eye, self._vertices)
         self._next = 0
 
     @property
@@ -109,20 +109,18 @@ class Refinement:
                 return
 
     def _shade(self, rows: slice) -> None:
-        from prt_bake.shading.reconstruction import reconstruct
-        from prt_bake.shading.sun_shading import sun_radiance
+        from prt_bake.shading.vertices import radiance_towards
 
-        vertices, bins = self._vertices[rows], type(self._bins)._make(field[rows] for field in self._bins)
-        asset = self._asset
-        radiance = reconstruct(asset.coefficients, vertices, bins, asset.sectors, self._light.harmonics)
-        radiance += sun_radiance(asset, self._light.suns, vertices, bins)
+        vertices = self._vertices[rows]
+        radiance, _ = radiance_towards(self._asset, self._light, vertices, self._local[rows])
         self.radiance[vertices] = np.maximum(radiance, 0.0)
 
 
 def _rotated(light: AssetLight, rotation: float, up: str) -> AssetLight:
     matrix = environment.rotation(rotation, up)
     suns = tuple(replace(sun, direction=matrix @ sun.direction) for sun in light.suns)
-    return replace(light, harmonics=environment.rotate_light(light.harmonics, rotation, up), suns=suns)
+    harmonics, whole = (environment.rotate_light(part, rotation, up) for part in (light.harmonics, light.whole))
+    return AssetLight(harmonics, suns, whole, light.found, light.lobes and light.lobes.turned(matrix))
 
 
 def is_closed(mesh: Mesh) -> bool:

@@ -26,7 +26,7 @@ class AssetLight:
 
     Attributes:
         harmonics: [K,3], the light to shade by harmonics; None for an asset made for one light.
-        suns: to shade by maximum entropy; none for an asset with lobes, which need no such help.
+        suns: to shade separately (`prt_bake.shading.sun_shading`, with lobes `prt_bake.shading.lobed_suns`).
         whole: [K,3], harmonics of all the light, undamped.
         found: the number of suns.
         lobes: the light that lobes see; None for an asset without lobes.
@@ -66,7 +66,7 @@ def light_for(asset: Asset, lighting: Lighting, suns: SunTreatment = "split") ->
     from prt_bake.lobes.light import lobe_light
 
     lobes = lobe_light(lighting, asset.degree, float(used.min()), float(used.max()))
-    return AssetLight(divided.whole, (), divided.whole, divided.found, lobes)
+    return AssetLight(divided.harmonics, divided.suns, divided.whole, divided.found, lobes)
 
 
 def refuse_missing_lobes(light: AssetLight, asset: Asset) -> None:

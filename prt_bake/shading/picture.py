@@ -18,9 +18,9 @@ from formats.summary import summary
 from prt_bake.geometry.camera import Camera, Visibility, rays, refuse_eye_in_object
 from prt_bake.lights.lighting import Lighting, as_lighting
 from prt_bake.reflection.finish import Normals
-from prt_bake.shading.asset_light import light_for
+from prt_bake.shading.asset_light import AssetLight, light_for
 from prt_bake.shading.layers import make_layers
-from prt_bake.shading.picture_error import PictureError, view_error
+from prt_bake.shading.picture_error import PictureError, sun_error, view_error
 from prt_bake.shading.radiance_error import interpolate_over_faces, radiance_error
 from prt_bake.shading.sun_shading import SunTreatment
 from prt_bake.shading.surface_reflection import AssetReflection, reflects
@@ -123,9 +123,13 @@ def render_picture(
     visible[corners] = True
     outgoing = camera.towards(asset.mesh.positions)
     shading = shade_vertices(asset, prepared, outgoing, visible)
-    sigma = radiance_error(asset, prepared.harmonics, outgoing, visible, prepared.suns)
+    if prepared.lobes is None:
+        sigma = radiance_error(asset, prepared.harmonics, outgoing, visible, prepared.suns)
+    else:
+        sigma = radiance_error(asset, prepared.whole, outgoing, visible)
     weights = corner_weights(asset, corners, points.barycentric)
     subsurface = np.einsum("nk,nkc->nc", weights, shading.radiance[corners])
+    of_suns = np.einsum("nk,nkc->nc", weights, shading.suns[corners])
     shares = np.bincount(corners.ravel(), weights.ravel(), len(visible)).astype(np.float64)
     pixels = PixelMeans(points.pixels, camera, samples**2)
     coverage, picture = pixels.means(None), pixels.means(subsurface)
@@ -164,19 +168,29 @@ def render_picture(
             _ratio(below, signal),
             _ratio(float((bake_error**2).sum()), signal),
             _ratio(float((noise**2).sum()), signal),
-            prepared.found > 0 or bool(lighting.suns),
+            _part_of_suns(asset, prepared, lighting, pixels.means(of_suns), signal),
         ),
     )
 
 
 def _errors(
-    asset: Asset, views: float | None, subsurface: float, bake: float, noise: float, suns: bool
+    asset: Asset, views: float | None, subsurface: float, bake: float, noise: float, suns: float | None
 ) -> PictureError:
     """The parts relative to the picture; `subsurface` is the rms of light from under the surface over that of all."""
     known = asset.error
     network = None if known.network is None else subsurface * known.network.value
     views = None if views is None else subsurface * views
     return PictureError(network, bake or None, views, noise, known.path_traced, suns)
+
+
+def _part_of_suns(asset: Asset, light: AssetLight, lighting: Lighting, shown: Array, signal: float) -> float | None:
+    """The part of suns in the error, from what they alone show [H,W,3]; None if it is unknown."""
+    if not light.found and not lighting.suns:
+        return 0.0
+    beyond = sun_error(asset)
+    if beyond is None or not light.suns:
+        return None
+    return beyond * _ratio(float((shown**2).sum()), signal)
 
 
 def _ratio(squares: float, signal: float) -> float:

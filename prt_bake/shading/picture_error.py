@@ -30,7 +30,7 @@ class PictureError:
         views: of the interpolation between view bins.
         noise: of reflected rays; 0 without a reflection.
         path_traced: whether a scene was baked, without a network.
-        suns: whether the light has suns. They show detail beyond the coefficients, whose error is unknown.
+        suns: what suns show of the errors beyond the coefficients (`sun_error`); 0 without suns.
 
     >>> print(PictureError(0.03, 0.021, 0.008, 0.0))
     about 3.7% (network 3.0%, bake 2.1%, views 0.8%, noise 0.0%)
@@ -43,7 +43,7 @@ class PictureError:
     views: float | None
     noise: float
     path_traced: bool = False
-    suns: bool = False
+    suns: float | None = 0.0
 
     @property
     def known(self) -> bool:
@@ -67,7 +67,7 @@ class PictureError:
     def _parts(self) -> dict[str, float | None]:
         network = {} if self.path_traced else {"network": self.network}
         parts = {**network, "bake": self.bake, "views": self.views, "noise": self.noise}
-        return parts | {"suns": None} if self.suns else parts
+        return parts if self.suns == 0.0 else parts | {"suns": self.suns}
 
     def __str__(self) -> str:
         parts = [f"{name} {'unknown' if part is None else f'{part:.1%}'}" for name, part in self._parts.items()]
@@ -75,6 +75,20 @@ class PictureError:
         if self.total is None:
             return f"unknown ({inside})"
         return f"{'about' if self.known else 'at least'} {self.total:.1%} ({inside})"
+
+
+def sun_error(asset: Asset) -> float | None:
+    """Relative RMSE of the radiance under a sun beyond that of the coefficients, over all directions of the sun.
+
+    It is what the trainer measured of the network's transport Ŝ in single directions, less its error of the
+    coefficients, and what the bake measured beyond its lobes; None if one of them is unknown.
+    """
+    measured = asset.provenance.get("model", {}).get("training", {}).get("relative_rmse", {})
+    lobes = asset.provenance.get("lobes", {})
+    transport, coefficients, left = measured.get("transport"), measured.get("coefficients"), lobes.get("left_by_lobes")
+    if transport is None or coefficients is None or not left:
+        return None
+    return math.sqrt(max(transport**2 - coefficients**2, 0.0) + float(left[-1]) ** 2)
 
 
 def view_error(asset: Asset, light: Array, eye: Any, shares: Array, radiance: Array, sigma: Array) -> float | None:

@@ -89,14 +89,25 @@ def sun_radiance(
 
     It is negative only if the mean transport of the vertex is.
     """
+    return np.asarray(radiance_of_each_sun(asset, suns, vertices, at).sum(axis=0))
+
+
+def radiance_of_each_sun(
+    asset: Asset, suns: Sequence[DirectionalLight], vertices: NDArray[np.int64], at: BinCoordinates
+) -> Array:
+    """The parts [S,n,3] of each sun in `sun_radiance`."""
     from prt_bake.shading.maximum_entropy import fit_maximum_entropy
 
-    radiance = np.zeros((len(vertices), 3))
+    radiance = np.zeros((len(suns), len(vertices), 3))
     if not suns or not len(vertices):
         return radiance
-    directions, irradiance = _points(suns)
-    transport = fit_maximum_entropy(_channels(asset, vertices, at)).evaluate(directions)
-    radiance += np.einsum("ncd,dc->nc", np.broadcast_to(transport, (len(vertices), 3, len(directions))), irradiance)
+    fitted = fit_maximum_entropy(_channels(asset, vertices, at))
+    for number, sun in enumerate(suns):
+        directions, irradiance = _points_of(sun)
+        transport = fitted.evaluate(directions)
+        radiance[number] = np.einsum(
+            "ncd,dc->nc", np.broadcast_to(transport, (len(vertices), 3, len(directions))), irradiance
+        )
     return radiance
 
 

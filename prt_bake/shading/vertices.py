@@ -26,11 +26,13 @@ class Shading:
 
     clamped: Σ of the negative radiance that was clamped to 0 / Σ of the radiance, over vertices and channels.
     shaded: the number of shaded vertices.
+    suns: [V,3], the part of separately shaded suns, not clamped.
     """
 
     radiance: Array
     clamped: float
     shaded: int
+    suns: Array
 
 
 def shade(
@@ -81,26 +83,39 @@ def shade_vertices(
         )
     prepared = as_asset_light(light, suns)
     refuse_missing_lobes(prepared, asset)
-    suns = prepared.suns
-    weights = light_coefficients(asset, prepared.harmonics)
-    if suns and asset.quantity == "radiance":
+    if prepared.suns and asset.quantity == "radiance":
         raise QueryError("suns: the asset was made for one light and cannot be relit; pass no suns")
     vertices = np.flatnonzero(asset.valid if visible is None else asset.valid & visible)
-    local = _to_frames(asset, eye_directions(asset, eye, vertices), vertices)
-    at = sphere.bin_coordinates(local, asset.rings, asset.sectors)
-    radiance = np.zeros((len(asset.valid), 3))
-    radiance[vertices] = reconstruct(asset.coefficients, vertices, at, asset.sectors, weights)
-    if suns:
-        radiance[vertices] += sun_radiance(asset, suns, vertices, at)
-    if prepared.lobes is not None and asset.lobes is not None:
-        from prt_bake.lobes.interpolation import lobes_at
-        from prt_bake.lobes.light import lobe_radiance
-
-        radiance[vertices] += lobe_radiance(prepared.lobes, *lobes_at(asset.lobes, vertices, local))
+    local = eye_in_frames(asset, eye, vertices)
+    radiance, of_suns = np.zeros((2, len(asset.valid), 3))
+    radiance[vertices], of_suns[vertices] = radiance_towards(asset, prepared, vertices, local)
     negative = -float(radiance[radiance < 0.0].sum())
     radiance = np.maximum(radiance, 0.0)
     kept = float(radiance.sum())
-    return Shading(radiance, negative / kept if kept > 0.0 else float(negative > 0.0), len(vertices))
+    return Shading(radiance, negative / kept if kept > 0.0 else float(negative > 0.0), len(vertices), of_suns)
+
+
+def radiance_towards(asset: Asset, light: AssetLight, vertices: NDArray[np.int64], local: Array) -> tuple[Array, Array]:
+    """Radiance [n,3], not clamped, of `vertices` [n] (ascending) along `local` [n,3], directions in their frames.
+
+    Also returns the part [n,3] of separately shaded suns in it.
+    """
+    at = sphere.bin_coordinates(local, asset.rings, asset.sectors)
+    weights = light_coefficients(asset, light.harmonics)
+    radiance = reconstruct(asset.coefficients, vertices, at, asset.sectors, weights)
+    if light.lobes is None or asset.lobes is None:
+        suns = sun_radiance(asset, light.suns, vertices, at)
+        return radiance + suns, suns
+    from prt_bake.lobes.interpolation import lobes_at
+    from prt_bake.lobes.light import lobe_radiance
+    from prt_bake.shading.lobed_suns import lobed_sun_radiance
+
+    lobes = lobes_at(asset.lobes, vertices, local)
+    if not light.suns:
+        return radiance + lobe_radiance(light.lobes, *lobes), np.zeros_like(radiance)
+    radiance += lobe_radiance(light.lobes.skies_alone(), *lobes)
+    suns = lobed_sun_radiance(asset, light, vertices, at, lobes)
+    return radiance + suns, suns
 
 
 def surface_radiance(
@@ -132,9 +147,9 @@ def corner_weights(asset: Asset, corners: NDArray[np.integer], barycentric: Arra
     return np.asarray(weights / np.where(total > 0.0, total, 1.0))
 
 
-def eye_bin_coordinates(asset: Asset, eye: ArrayLike, vertices: NDArray[np.int64]) -> sphere.BinCoordinates:
-    """Coordinates between the view bins of the directions from `vertices` [n] to the eye; raises as `shade`."""
-    return bin_coordinates_at_vertices(asset, eye_directions(asset, eye, vertices), vertices)
+def eye_in_frames(asset: Asset, eye: ArrayLike, vertices: NDArray[np.int64]) -> Array:
+    """Unit directions [n,3] from `vertices` [n] to the eye, in their frames; raises as `shade`."""
+    return _to_frames(asset, eye_directions(asset, eye, vertices), vertices)
 
 
 def bin_coordinates_at_vertices(asset: Asset, outgoing: Array, vertices: NDArray[np.int64]) -> sphere.BinCoordinates:

@@ -92,7 +92,9 @@ class Viewed:
         self._weights = np.concatenate([1.0 - barycentric.sum(axis=1, keepdims=True), barycentric], axis=1)
         self.vertices, index = np.unique(corners, return_inverse=True)
         self._corners = index.reshape(-1, 3)
-        at = vertices.eye_bin_coordinates(asset, self.view.eye, self.vertices)
+        at = sphere.bin_coordinates(
+            vertices.eye_in_frames(asset, self.view.eye, self.vertices), asset.rings, asset.sectors
+        )
         self.coefficients = interpolated_coefficients(asset, self.vertices, at)
         towards = self.view.eye - asset.mesh.positions[self.vertices]
         self.outgoing = towards / np.linalg.norm(towards, axis=1, keepdims=True)

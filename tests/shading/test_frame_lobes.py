@@ -1,5 +1,6 @@
 """Lobes in frames and in compact assets: those of `shade`."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,11 @@ from prt_bake.shading.frames.frames import Frames
 from tests.baking.lobes.transports import MESH, Lobed, along_normal
 
 
+def everywhere(light):
+    """The light whose suns are shaded by harmonics and lobes in the dark too, as frames do."""
+    return replace(light, harmonics=light.whole, suns=())
+
+
 def test_lobes_are_those_of_shade() -> None:
     sky = np.random.default_rng(3).gamma(0.3, size=(32, 64, 3)).astype(np.float32)
     lighting = Lighting((Sky(sky, "y", np.eye(3)),), read_lighting("sun:0.3,1,0.2:2,2,2:0.5").suns)
@@ -21,14 +27,14 @@ def test_lobes_are_those_of_shade() -> None:
         light = prt.light_for(asset, lighting)
         frames = Frames(asset)
         frames.light(light)
-        expected = prt.shade(asset, light, eye)
+        expected = prt.shade(asset, everywhere(light), eye)
         np.testing.assert_allclose(frames.draw(eye), expected, rtol=1e-4, atol=1e-5)
         frames.hold(eye)
         np.testing.assert_allclose(frames.draw(eye), expected, rtol=1e-4, atol=1e-5)
         frames.fold()
-        np.testing.assert_allclose(frames.draw(-eye), prt.shade(asset, light, -eye), rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(frames.draw(-eye), prt.shade(asset, everywhere(light), -eye), rtol=1e-4, atol=1e-5)
         frames.turn(70.0)
-        turned = prt.shade(asset, prt.light_for(asset, lighting.turned(70.0, "y")), eye)
+        turned = prt.shade(asset, everywhere(prt.light_for(asset, lighting.turned(70.0, "y"))), eye)
         np.testing.assert_allclose(frames.draw(eye), turned, atol=0.01 * turned.max())
         frames.light(light.whole)
         np.testing.assert_allclose(frames.draw(eye), prt.shade(asset, light.whole, eye), rtol=1e-4, atol=1e-5)
@@ -54,4 +60,4 @@ def test_compact_assets_keep_their_lobes(tmp_path: Path) -> None:
         assert light.lobes is not None
         frames = Frames(asset)
         frames.light(light)
-        np.testing.assert_allclose(frames.draw(eye), prt.shade(asset, light, eye), rtol=1e-3, atol=1e-4)
+        np.testing.assert_allclose(frames.draw(eye), prt.shade(asset, everywhere(light), eye), rtol=1e-3, atol=1e-4)

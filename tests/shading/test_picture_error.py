@@ -89,7 +89,7 @@ def test_a_picture_states_each_part_relative_to_all_of_its_light() -> None:
         (PictureError(None, 0.04, 0.03, 0.0), "at least 5.0% (network unknown, bake 4.0%, views 3.0%, noise 0.0%)"),
         (PictureError(0.03, None, None, 0.04), "at least 5.0% (network 3.0%, bake unknown, views unknown, noise 4.0%)"),
         (
-            PictureError(0.03, 0.04, 0.0, 0.0, suns=True),
+            PictureError(0.03, 0.04, 0.0, 0.0, suns=None),
             "at least 5.0% (network 3.0%, bake 4.0%, views 0.0%, noise 0.0%, suns unknown)",
         ),
         (PictureError(None, None, 0.03, 0.0), "unknown (network unknown, bake unknown, views 3.0%, noise 0.0%)"),

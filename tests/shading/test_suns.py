@@ -32,6 +32,11 @@ def sun(towards=(0.48, 0.6, 0.64), irradiance=(3.0, 2.0, 1.0), diameter=0.53) ->
     return DirectionalLight(np.array(towards), np.array(irradiance), diameter)
 
 
+def view_bins_of(asset, vertices):
+    """The directions to the eye between the view bins."""
+    return sphere.bin_coordinates(vertex_shading.eye_in_frames(asset, EYE, vertices), asset.rings, asset.sectors)
+
+
 def lobed(seed=0, **others):
     """An asset with a narrow lobe about the normal at each vertex."""
     asset = make_asset(ball(2), seed=seed, **others)
@@ -119,7 +124,7 @@ def test_error_estimates_include_the_gradient_of_suns(lights: tuple[Sky, ...]) -
 def test_the_gradient_of_equal_channels_is_that_of_one() -> None:
     """One fit for all channels agrees with three fits, for suns of different colours."""
     asset, suns, everything = lobed(), (sun(), sun((-0.6, 0.0, 0.8), (0.5, 1.0, 2.0))), np.arange(66)
-    at = vertex_shading.eye_bin_coordinates(asset, EYE, everything)
+    at = view_bins_of(asset, everything)
     found = sun_gradient(asset, suns, everything, at)
     asset.coefficients[:, :, 0, 1] *= 1.0 + 1e-6
     np.testing.assert_allclose(sun_gradient(asset, suns, everything, at), found, rtol=1e-3, atol=1e-4)
@@ -201,7 +206,7 @@ def test_coefficients_are_interpolated_equally_from_memory_and_files(tmp_path, m
     write_asset(asset, tmp_path / "a.h5")
     opened = read_asset(tmp_path / "a.h5", load=False)
     vertices = np.array([3, 4, 20, 65])
-    at = vertex_shading.eye_bin_coordinates(asset, EYE, vertices)
+    at = view_bins_of(asset, vertices)
     inside = interpolated_coefficients(asset, vertices, at)
     monkeypatch.setattr("prt_bake.shading.sun_shading._BYTES_AT_ONCE", 20_000)
     np.testing.assert_array_equal(interpolated_coefficients(opened, vertices, at), inside)
@@ -217,4 +222,4 @@ def test_negative_mean_transport_is_clamped_and_reported() -> None:
     assert shown.clamped > 0.01
     assert not shown.radiance[:3].any()
     everything = np.arange(66)
-    assert not sun_radiance(asset, (), everything, vertex_shading.eye_bin_coordinates(asset, EYE, everything)).any()
+    assert not sun_radiance(asset, (), everything, view_bins_of(asset, everything)).any()
