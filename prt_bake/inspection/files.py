@@ -46,7 +46,8 @@ def describe(path: str | Path) -> dict[str, Any]:
         PrtbakeError: the file cannot be read as the kind that its suffix names.
     """
     kind = kind_of(path)
-    return {"kind": kind, "bytes": Path(path).stat().st_size, **_module(kind).describe(Path(path))}
+    named = "picture" if kind == "sky" else kind  # not every picture is a sky
+    return {"kind": named, "bytes": Path(path).stat().st_size, **_module(kind).describe(Path(path))}
 
 
 def find_faults(path: str | Path) -> list[str]:

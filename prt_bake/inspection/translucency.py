@@ -50,6 +50,11 @@ class Translucency:
         return bool(self.crossing.max() < _OPAQUE)
 
     @property
+    def percent_crossing(self) -> str:
+        """The light that crosses a tenth of the object as text, of the channels that are not dark to two digits."""
+        return f"{channels(np.where(self.crossing < 5e-5, 0.0, 100.0 * self.crossing))} %"
+
+    @property
     def clear(self) -> bool:
         """Whether in every channel much of the light crosses the object without any event."""
         return bool(self.size < _CLEAR * self.mean_free_path.min())
@@ -87,7 +92,7 @@ def describe(light: Translucency, millimetres: float | None) -> dict[str, Any]:
         "transport mean free path": f"{channels(light.transport * scale)} {unit}",
         "diffuse mean free path": f"{channels(light.diffuse * scale)} {unit}",
         "longest side in transport mean free paths": channels(light.size / light.transport),
-        "diffuse light through a tenth of the object": f"{channels(100.0 * light.crossing)} %",
+        "diffuse light through a tenth of the object": light.percent_crossing,
     }
 
 
@@ -111,6 +116,15 @@ def remark(light: Translucency, millimetres: float | None) -> str:
             f"asset holds; {GUIDE}: raise sigma_t (of a material, density), or check the unit of length"
         )
     return ""
+
+
+def translucent_size(light: Translucency) -> str:
+    """Return a longest side that looks translucent, for an object in millimetres: 30 transport mean free paths.
+
+    >>> translucent_size(translucency(np.full(3, 2.0), np.zeros(3), 0.0, 9000.0))
+    '20mm'
+    """
+    return f"{float(f'{30.0 * light.transport.max():.1g}'):g}mm"
 
 
 def channels(values: Array) -> str:

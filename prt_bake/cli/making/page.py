@@ -26,7 +26,7 @@ def _lines(record: Record) -> Iterator[str]:
         f"* {record.figures['vertices']:,} vertices, {record.figures['view bins']:,} view bins, harmonics of degree "
         f"{record.figures['degree']}; all figures: {SUMMARY}"
     )
-    yield "* A longer training lowers the error of the network, which usually is the largest; docs/training.md"
+    yield "* A longer training (more --minutes) lowers the error of the network, which usually is the largest"
     yield ""
     yield "| step | time | files |"
     yield "|---|---|---|"

@@ -41,3 +41,18 @@ def say_next_of_asset(asset: Path) -> None:
         say_next("prtbake", "view", asset, "--screenshot", picture)
     else:
         say_next("prtbake", "view", asset)
+
+
+def say_next_of_file(kind: str, file: Path) -> None:
+    """Print the command that goes on with a mesh, a scene, a model or an asset, with what lies beside it already."""
+    model, asset = file.with_suffix(".pt"), file.with_suffix(".h5")
+    if kind == "mesh":
+        from prt_bake.inspection.mesh import needs_a_size
+
+        say_next("prtbake", "init", file, "--material", "jade", *(("--size", "10cm") if needs_a_size(file) else ()))
+    elif kind == "scene" and not model.exists():
+        say_next("prtbake", "train", file, "-o", model.name)
+    elif kind in ("scene", "model") and not asset.exists():
+        say_next("prtbake", "bake", model if kind == "scene" else file, "-o", asset.name)
+    elif kind in ("scene", "model", "asset"):
+        say_next_of_asset(file if kind == "asset" else asset)

@@ -1,5 +1,6 @@
 """`prtbake init`: writes a scene file for a mesh and a material."""
 
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,6 +12,7 @@ from prt_bake.cli.shared.next_step import say_next
 from prt_bake.cli.shared.options import optional_output
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
+from prt_bake.cli.start.materials import complete_material
 
 if TYPE_CHECKING:
     from formats.mesh import Mesh
@@ -22,7 +24,13 @@ _USUAL_SIZE = 100.0
 
 MaterialName = Annotated[
     str | None,
-    typer.Option("--material", metavar="NAME", help="Such as jade; `prtbake materials` lists all.", show_default=False),
+    typer.Option(
+        "--material",
+        metavar="NAME",
+        help="Such as jade; `prtbake materials` lists all.",
+        show_default=False,
+        autocompletion=complete_material,
+    ),
 ]
 ObjectSize = Annotated[
     str | None,
@@ -48,14 +56,20 @@ def init(
     Without --size a glTF mesh is in metres, and any other is taken to be 10 cm long.
     """
     path = output or Path(f"{mesh.stem}.toml")
-    write_scene(mesh, material, size, path, up, force)
-    say_next("prtbake", "make", path, "-o", path.stem)
+    better = write_scene(mesh, material, size, path, up, force)
+    if better is None:
+        say_next("prtbake", "make", path, "-o", path.stem)
+    else:
+        others = (*(() if output is None else ("-o", output)), *(() if up == "y" else ("--up", up)))
+        say_next("prtbake", "init", mesh, "--material", material, "--size", better, *others, "--force")
 
 
 def write_scene(
     mesh_path: Path, material: str | None, size: str | None, path: Path, up: Literal["y", "z"], force: bool
-) -> None:
+) -> str | None:
     """Write the scene of a mesh, and print what was chosen.
+
+    Returns a better size if none was given and the object will look opaque, else None.
 
     Raises typer.BadParameter for an unknown material or size, MeshError for a mesh that is not sound, and StorageError
     if the scene exists and `force` is not given.
@@ -73,7 +87,13 @@ def write_scene(
         part.write_text(draft.text(), encoding="utf-8")
     if not draft.material.measured:
         say(f"{draft.material.name} is {draft.material.source}")
-    if remark := translucency.remark(draft.light, 1.0):
+    better = translucency.translucent_size(draft.light) if size is None and draft.light.opaque else None
+    if better is not None:
+        say(
+            f"remark: {draft.material.name} of this size looks opaque, like stone; {better} looks translucent: "
+            f"--size {better}"
+        )
+    elif remark := translucency.remark(draft.light, 1.0):
         say(f"remark: {remark}")
     paths = draft.light.size / draft.light.transport
     least, most = translucency.digits(paths.min()), translucency.digits(paths.max())
@@ -81,6 +101,7 @@ def write_scene(
         f"{path}: {mesh_path.name} in {draft.material.name}, {draft.light.size:.4g} mm long, {least} to {most} "
         f"transport mean free paths (about 5 to 50 look translucent)"
     )
+    return better
 
 
 def draft_scene(
@@ -108,7 +129,7 @@ def _material(name: str | None) -> "Material":
     from formats.scene.materials import find_material
 
     if name is None:
-        raise typer.BadParameter(f"Missing option '--material'. {_materials_by_group()}")
+        raise typer.BadParameter(f"Missing option '--material'. Choose one:\n{_materials_by_group()}")
     try:
         return find_material(name)
     except KeyError as cause:
@@ -121,7 +142,8 @@ def _materials_by_group() -> str:
     groups: dict[str, list[str]] = {}
     for material in materials().values():
         groups.setdefault(material.group, []).append(material.name)
-    return "; ".join(f"{group}: {', '.join(names)}" for group, names in groups.items())
+    lines = (f"{group}: {', '.join(names)}" for group, names in groups.items())
+    return "\n".join(textwrap.fill(line, 80, initial_indent="  ", subsequent_indent="    ") for line in lines)
 
 
 def _length(size: str | None) -> float | None:

@@ -1,14 +1,26 @@
 """`prtbake materials`: lists the materials that scenes can name."""
 
 import math
+import re
 import textwrap
 from typing import Annotated
 
 import typer
 
 
+def complete_material(typed: str) -> list[str]:
+    """Return the names of materials for a shell, with hyphens in place of what would need quotes."""
+    from formats.scene.materials import materials as table
+
+    names = (re.sub(r"[\W_]+", "-", material.name) for material in table().values())
+    return [name for name in names if name.startswith(typed.lower())]
+
+
 def materials(
-    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="One material.", show_default=False)] = None,
+    name: Annotated[
+        str | None,
+        typer.Argument(metavar="[NAME]", help="One material.", show_default=False, autocompletion=complete_material),
+    ] = None,
 ) -> None:
     """List the materials that a scene can name.
 
