@@ -145,11 +145,11 @@ def _error_text(part: dict[str, Any]) -> str:
 
 def _prediction_text(part: dict[str, Any]) -> str:
     name = "Ŝ" if part["of"] == "transport" else "the coefficients"
-    v = f"A single walk estimates {name} with a relative variance of {part['v']['value']:.3g}"
+    v = f"A single path estimates {name} with a relative variance of {part['v']['value']:.3g}"
     if not part["walks"] or not part["weights"]:
-        return f"{v}; the model does not state on how many walks it was trained."
+        return f"{v}; the model does not state on how many paths it was trained."
     return (
-        f"{v}. For {part['weights']:,} weights and {part['walks']:,.0f} walks the expected error is "
-        f"sqrt(weights · v / walks) = {part['predicted']['value']:.2%}; the measured error is "
+        f"{v}. For {part['weights']:,} weights and {part['walks']:,.0f} paths the expected error is "
+        f"sqrt(weights · v / paths) = {part['predicted']['value']:.2%}; the measured error is "
         f"{percent(part['reached'])}."
     )
