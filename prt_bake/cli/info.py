@@ -15,7 +15,9 @@ _LONGEST_LIST = 100
 
 
 def info(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Mesh, picture, scene, model, asset or samples.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Mesh, picture, scene, lights, model, asset or samples.")
+    ],
     all_figures: Annotated[bool, typer.Option("--all", help="Print every figure and setting in the file.")] = False,
     as_json: AsJson = False,
 ) -> None:

@@ -13,6 +13,7 @@ _WHAT = {
     "picture": "picture",
     "scene": "scene: an object and what it is made of",
     "model": "model: a network that was trained on one object",
+    "lights": "lights file, for --light",
     "importance": "importance module of a model; `prtbake render` finds it by its name",
     "asset": "asset: a baked object that can be shown under any light",
     "samples": "training samples: path-traced values for `prtbake train --samples`",
@@ -127,12 +128,18 @@ def _picture(figures: Figures) -> dict[str, str]:
 
 def _others(figures: Figures) -> dict[str, str]:
     """Return the single figures, without settings and hashes."""
+    counts = ("weights", "queries")
     hidden = ("kind", "bytes", "settings: ", "scene hash", "of model")
     return {
-        name: f"{value:.4g}" if isinstance(value, float) else str(value)
+        name: f"{value:.4g}" if isinstance(value, float) else f"{value:,}" if name in counts else str(value)
         for name, value in figures.items()
         if not isinstance(value, dict | list) and not name.startswith(hidden)
     }
+
+
+def _lights(figures: Figures) -> dict[str, str]:
+    counts = {name: str(figures[name]) for name in ("directional lights", "sphere lights") if figures[name]}
+    return {**counts, "skies": ", ".join(figures["skies"])}
 
 
 _LINES: dict[str, Callable[[Figures], dict[str, str]]] = {
@@ -141,6 +148,7 @@ _LINES: dict[str, Callable[[Figures], dict[str, str]]] = {
     "scene": _scene,
     "mesh": _mesh,
     "picture": _picture,
+    "lights": _lights,
 }
 
 

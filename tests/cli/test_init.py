@@ -181,7 +181,8 @@ def test_the_list_of_materials_has_every_one_with_its_source(capsys):
     out = capsys.readouterr().out
     assert all(f"  {material.name} " in out for material in materials().values())
     assert all(len(line) <= 100 for line in out.splitlines())
-    assert out.startswith("estimates: an estimate: ")
+    assert out.startswith("estimates: chosen for ")
+    assert "an object 5 to 50 times as long glows" in out
     assert main(["materials", "spectralon"]) == 0
     assert "0.086 0.049 0.067     inf   inf   inf   1.000 1.000 1.000  1.3" in capsys.readouterr().out
     assert main(["materials", "marbel"]) == 2

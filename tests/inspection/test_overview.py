@@ -8,9 +8,10 @@ import pytest
 
 from formats.asset import write_asset
 from formats.asset.total_error import ErrorInterval
+from formats.errors import FormatError
 from formats.image import write_image
 from formats.mesh import build_mesh, write_mesh
-from prt_bake.inspection import describe, overview
+from prt_bake.inspection import describe, find_faults, overview
 from tests.shading.test_picture import make_asset
 from tests.shapes import ball
 
@@ -60,6 +61,24 @@ def test_a_picture_is_a_sky_only_if_it_can_be_one(tmp_path: Path, height: int, w
     write_image(tmp_path / "a.hdr", np.ones((height, width, 3), np.float32))
     lines = overview(describe(tmp_path / "a.hdr"))
     assert (lines["kind"], lines["can be"], lines["size"]) == ("picture", uses, f"{width} × {height} pixels")
+
+
+def test_lights_files_are_described_and_checked(tmp_path: Path) -> None:
+    write_image(tmp_path / "sky.hdr", np.ones((8, 16, 3), np.float32))
+    path = tmp_path / "lights.toml"
+    path.write_text('[[sky]]\nfile = "sky.hdr"\n[[directional]]\ndirection = [0, 1, 0]\n')
+    lines = overview(describe(path))
+    assert (lines["kind"], lines["directional lights"]) == ("lights file, for --light", "1")
+    assert lines["skies"] == str(tmp_path / "sky.hdr")
+    assert not find_faults(path)
+    path.write_text('[[sky]]\nfile = "none.hdr"\n')
+    assert "none.hdr" in find_faults(path)[0]
+
+
+def test_a_checkpoint_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.train.pt").write_bytes(b"")
+    with pytest.raises(FormatError, match=r"a\.train\.pt: is the checkpoint of a training, for `prtbake train --res"):
+        describe(tmp_path / "a.train.pt")
 
 
 def test_a_scene_names_what_is_inside_it(tmp_path: Path) -> None:

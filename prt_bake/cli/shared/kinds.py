@@ -1,7 +1,6 @@
 """Files of another kind than a command expects: which kind they are, and the command that they are for."""
 
 import shlex
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
@@ -111,20 +110,12 @@ def _paths(paths: Path | str | Iterable[Path | str] | None) -> Iterator[Path]:
 
 def _kind(path: Path) -> str | None:
     """Return the kind of a file; None if it is not evident."""
-    from prt_bake.inspection.files import kind_of
+    from prt_bake.inspection.files import CHECKPOINT, kind_of, kind_of_toml
 
-    if path.name.lower().endswith(".train.pt"):
+    if path.name.lower().endswith(CHECKPOINT):
         return "checkpoint"
     try:
         kind = kind_of(path)
     except (PrtbakeError, OSError):
         return None
-    return kind if kind != "scene" else _kind_of_toml(path)
-
-
-def _kind_of_toml(path: Path) -> str | None:
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    return "scene" if "object" in tables else "lights" if tables.keys() & {"sky", "directional", "sphere"} else None
+    return kind_of_toml(path) if path.suffix.lower() == ".toml" else kind
