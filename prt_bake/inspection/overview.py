@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from formats.asset.total_error import ErrorInterval
 from formats.scene.units import MILLIMETRES, NO_UNIT
 
 Figures = Mapping[str, Any]
@@ -44,7 +45,7 @@ def _asset(figures: Figures) -> dict[str, str]:
         "harmonics": f"degree {figures['degree']}",
         "lobes": figures["lobes"],
         "compressed": "" if compression is None else f"adds {compression:.2%} error",
-        "pruned": ", ".join(item["item"] for item in figures["pruned"]),
+        "pruned": ", ".join(str(item.get("item")) for item in figures["pruned"]),
         "surface": _surface(settings),
         "up": figures["up"],
         "baked from": str(settings.get("source", "")),
@@ -65,9 +66,7 @@ def _model(figures: Figures) -> dict[str, str]:
     return {
         "object": f"that of {figures['scene']}" if figures.get("scene") else "",
         "longest side": _length(figures["box side"], figures.get("unit", NO_UNIT)),
-        "error of the coefficients": ""
-        if error is None
-        else f"{error:.2%}" + (f" ({interval[0]:.2%} to {interval[1]:.2%})" if interval else ""),
+        "error of the coefficients": "" if error is None else str(ErrorInterval(error, *(interval or ()))),
         "surface": _surface(figures),
         "up": str(figures.get("up", "")),
         "trained": ", ".join(filter(None, trained)),

@@ -46,8 +46,9 @@ def test_a_picture_that_exists_is_not_the_next_one(tmp_path: Path, capsys: pytes
 @pytest.mark.parametrize(
     ("line", "successor"),
     [
-        ("check sphere.ply", "init sphere.ply --material jade"),
+        ("check sphere.ply", "init sphere.ply --material jade --size 10cm"),
         ("check scene.toml", "train scene.toml -o scene.pt"),
+        ("check model.pt", "bake model.pt MESH -o model.h5"),
         ("sample scene.toml --count 2 -o {}/s.h5", "train scene.toml --samples {}/s.h5 -o scene.pt"),
         ("render scene.toml sphere.ply --light sky.exr --size 4x4 --spp 2 -o {}/a.exr", "compare IMAGE {}/a.exr"),
     ],
@@ -56,3 +57,15 @@ def test_other_successors(prtbake: Run, tmp_path: Path, line: str, successor: st
     outcome = prtbake(*line.format(tmp_path).split())
     assert outcome.code == 0
     assert _next(outcome.err) == successor.format(tmp_path).split()
+
+
+def test_what_lies_beside_a_file_is_not_made_again(
+    prtbake: Run, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("sphere.ply", "scene.toml"):
+        (tmp_path / name).symlink_to(folder / name)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.pt").symlink_to(folder / "model.pt")
+    assert _next(prtbake("check", "scene.toml").err)[:2] == ["bake", "scene.pt"]
+    (tmp_path / "scene.h5").symlink_to(folder / "asset.h5")
+    assert _next(prtbake("check", "scene.toml").err)[:2] == ["view", "scene.h5"]

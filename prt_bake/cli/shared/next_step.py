@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
+from formats.errors import PrtbakeError
+
 _silent = False
 
 
@@ -53,6 +55,17 @@ def say_next_of_file(kind: str, file: Path) -> None:
     elif kind == "scene" and not model.exists():
         say_next("prtbake", "train", file, "-o", model.name)
     elif kind in ("scene", "model") and not asset.exists():
-        say_next("prtbake", "bake", model if kind == "scene" else file, "-o", asset.name)
+        source = model if kind == "scene" else file
+        say_next("prtbake", "bake", source, *(() if _knows_its_mesh(source) else ("MESH",)), "-o", asset.name)
     elif kind in ("scene", "model", "asset"):
         say_next_of_asset(file if kind == "asset" else asset)
+
+
+def _knows_its_mesh(model: Path) -> bool:
+    from prt_bake.baking.sources import own_mesh
+
+    try:
+        own_mesh(model)
+    except (PrtbakeError, OSError):
+        return False
+    return True
