@@ -10,6 +10,7 @@ import trimesh
 from formats.mesh import build_mesh, flipped, read_mesh, write_mesh
 from formats.scene import read_scene
 from formats.scene.materials import find_material, materials
+from formats.scene.schema import InsideTable, InterfaceTable, MediumTable, MixTable, ObjectTable
 from prt_bake.cli.main import main
 from prt_bake.inspection.files import find_faults, find_remarks
 
@@ -103,7 +104,9 @@ def test_a_large_gltf_object_leads_to_a_size_that_looks_translucent(init, meshes
 def test_the_other_keys_work_without_the_hash(init, meshes, tmp_path):
     assert init("ball.obj", "--material", "wax", "--size", "5cm")[0] == 0
     text = (tmp_path / "ball.toml").read_text()
-    assert "docs/" not in text
+    for table in (ObjectTable, InterfaceTable, MediumTable, MixTable, InsideTable):
+        for name, field in table.model_fields.items():
+            assert re.search(rf"\b{field.alias or name}\b", text), name
     before, _, rest = text.partition("# All other keys")
     keys, _, after = rest.partition("# Next, in this folder")
     lines = [line.removeprefix("# ") for line in keys.splitlines()]
