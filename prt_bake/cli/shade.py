@@ -335,7 +335,7 @@ def _fixed_light_and_view(baked: Any, lights: list[str], rotate: float, eye: Any
         yield f"{reasons['other lights']}: the picture shows that light, not {names}{rotated}"
     made_for = baked.provenance.get("settings", {}).get("for_eye")
     if made_for is not None and any(abs(a - b) > 1e-6 * (1.0 + abs(b)) for a, b in zip(eye, made_for, strict=True)):
-        yield f"{reasons.get('other views', 'made for one position')}: from other positions its colours are wrong"
+        yield f"{reasons.get('other views', 'made for one eye')}: from other positions its colours are wrong"
 
 
 def _same_light(baked: Any, lights: list[str]) -> bool:

@@ -35,7 +35,7 @@ class Translucency:
 
     >>> light = translucency(np.array([2.19, 2.62, 3.0]), np.array([0.0021, 0.0041, 0.0071]), 0.0, 140.0)
     >>> light.transport.round(2).tolist(), light.diffuse.round(1).tolist(), light.crossing.round(3).tolist()
-    ([0.46, 0.38, 0.33], [8.5, 5.6, 4.0], [0.033, 0.018, 0.008])
+    ([0.46, 0.38, 0.33], [8.5, 5.6, 4.0], [0.033, 0.017, 0.007])
     """
 
     size: float
@@ -122,9 +122,9 @@ def translucent_size(light: Translucency) -> str:
     """Return a longest side that looks translucent, for an object in millimetres: 30 transport mean free paths.
 
     >>> translucent_size(translucency(np.full(3, 2.0), np.zeros(3), 0.0, 9000.0))
-    '20mm'
+    '2cm'
     """
-    return f"{float(f'{30.0 * light.transport.max():.1g}'):g}mm"
+    return f"{float(f'{3.0 * light.transport.max():.1g}'):g}cm"
 
 
 def channels(values: Array) -> str:
