@@ -48,28 +48,21 @@ def init(
     Without --size a glTF mesh is in metres, and any other is taken to be 10 cm long.
     """
     path = output or Path(f"{mesh.stem}.toml")
-    write_scene(mesh, material, size, path, up, force)
+    mesh.stat()  # a file that is not there is reported first
+    refuse_other_kinds({"MESH": (mesh, ("mesh",))})
+    check_outputs({"--output": path}, {"MESH": mesh})
+    if path.exists() and not force:
+        raise StorageError(f"{path}: already exists; add --force to replace it, or choose another name with -o")
+    write_draft(draft_scene(mesh, material, size, path, up))
     say_next("prtbake", "make", path, "-o", path.stem)
 
 
-def write_scene(
-    mesh_path: Path, material: str | None, size: str | None, path: Path, up: Literal["y", "z"], force: bool
-) -> None:
-    """Write the scene of a mesh, and print what was chosen.
-
-    Raises typer.BadParameter for an unknown material or size, MeshError for a mesh that is not sound, and StorageError
-    if the scene exists and `force` is not given.
-    """
-    mesh_path.stat()  # a file that is not there is reported first
-    refuse_other_kinds({"MESH": (mesh_path, ("mesh",))})
-    check_outputs({"--output": path}, {"MESH": mesh_path})
-    if path.exists() and not force:
-        raise StorageError(f"{path}: already exists; add --force to replace it, or choose another name with -o")
+def write_draft(draft: "SceneDraft") -> None:
+    """Write the scene of a mesh, and print what was chosen."""
     from formats.atomic import replacing
     from prt_bake.inspection import translucency
 
-    draft = draft_scene(mesh_path, material, size, path, up)
-    with replacing(path) as part:
+    with replacing(draft.path) as part:
         part.write_text(draft.text(), encoding="utf-8")
     if not draft.material.measured:
         say(f"{draft.material.name} is {draft.material.source}")
@@ -78,8 +71,8 @@ def write_scene(
     paths = draft.light.size / draft.light.transport
     least, most = translucency.digits(paths.min()), translucency.digits(paths.max())
     print(
-        f"{path}: {mesh_path.name} in {draft.material.name}, {draft.light.size:.4g} mm long, {least} to {most} "
-        f"transport mean free paths (about 5 to 50 look translucent)"
+        f"{draft.path}: {draft.mesh_path.name} in {draft.material.name}, {draft.light.size:.4g} mm long, {least} to "
+        f"{most} transport mean free paths (about 5 to 50 look translucent)"
     )
 
 
