@@ -144,7 +144,7 @@ def test_the_steps_share_the_time(kitchen, capsys):
     assert "    prtbake bake out/model.pt ball.obj -o out/asset.h5 --workers" in page
     assert "![picture.png](picture.png)" in page
     captured = capsys.readouterr()
-    assert captured.out.startswith("out/summary.md: error of the coefficients ")
+    assert captured.out.startswith("out/summary.md: error of the asset ")
     assert "out/asset.h5: " in captured.out
     assert "the same asset, to pass on: at most 0.5 % off" in captured.out
     assert "out/model.pt: the network is 9.0 % off" in captured.err

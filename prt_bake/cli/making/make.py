@@ -11,7 +11,7 @@ import typer
 from formats.errors import MeshError, StorageError
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.next_step import say_next_of_asset
-from prt_bake.cli.shared.options import Exposure, View
+from prt_bake.cli.shared.options import View
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
 from prt_bake.cli.start.init import MaterialName, ObjectSize, draft_scene, write_draft
@@ -41,17 +41,25 @@ def _enough(minutes: float | None) -> float | None:
 
 def make(
     context: typer.Context,
-    scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene; or a mesh, with --material and --size.")],
+    scene: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SCENE",
+            help="Mesh (.glb, .gltf, .obj, .ply, .stl) with --material and --size; or a scene (.toml).",
+        ),
+    ],
     folder: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder to write to.")],
     minutes: Annotated[
         float | None,
         typer.Option(
             callback=_enough,
-            help="Time of everything in the folder, whatever its earlier runs took; by default 20, or what the folder "
-            "has. More minutes train on.",
+            help="Time of all runs in the folder together, 2 or more; by default 20, or what the folder has. With more "
+            "than it has, the training goes on.",
             show_default=False,
         ),
     ] = None,
+    material: MaterialName = None,
+    size: ObjectSize = None,
     light: Annotated[
         list[str] | None,
         typer.Option(
@@ -59,18 +67,20 @@ def make(
         ),
     ] = None,
     side: View = None,
-    exposure: Exposure = 0.0,
+    exposure: Annotated[
+        float, typer.Option(min=-64, max=64, metavar="EV", help="Makes the pictures 2^EV times as bright.")
+    ] = 0.0,
     tone_map: Annotated[
         Literal["none", "agx"],
         typer.Option(help="Of the pictures: agx turns bright light white, as Blender does; none clips it."),
     ] = "agx",
-    material: MaterialName = None,
-    size: ObjectSize = None,
     force: Annotated[
         bool, typer.Option("--force", help="Make everything anew; removes the files of an earlier run.")
     ] = False,
 ) -> None:
-    """Train, bake and picture a scene, within a given time.
+    """Train, bake and picture an object, within a given time.
+
+    For example: prtbake make skull.glb -o skull --material jade --size 14cm
 
     Writes the model with its report, the asset, a smaller one, a picture, a turntable, and a summary with the errors
     and the commands. The same command continues after a stop; finished steps are not done again.

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from formats.atomic import replacing
 from prt_bake.cli.making.record import ASSET, COMPACT, MODEL, PAGE, PICTURE, SUMMARY, TURNTABLE, Record
+from prt_bake.cli.making.steps import COMPRESSION_ERROR
 from prt_bake.cli.shared.lobes import lobes_sentence
 from prt_bake.cli.shared.progress import in_words
 
@@ -20,9 +21,9 @@ def results(record: Record) -> Iterator[str]:
         PICTURE: "a picture",
         TURNTABLE: "a turntable",
         ASSET: "the asset, for `prtbake view`, `prtbake shade` and Python",
-        COMPACT: "the same asset, to pass on: at most 0.5 % off, and read by every command",
+        COMPACT: f"the same asset, to pass on: at most {100.0 * COMPRESSION_ERROR:g} % off, and read by every command",
     }
-    yield f"{record.folder / PAGE}: error of the coefficients {record.figures['error of the coefficients']}"
+    yield f"{record.folder / PAGE}: error of the asset {record.figures['error of the coefficients']}"
     yield from (
         f"{record.folder / name}: {size}, {uses[name]}" for name, size in record.sizes().items() if name in uses
     )
@@ -36,7 +37,7 @@ def _lines(record: Record) -> Iterator[str]:
     yield ""
     yield from (f"![{name}]({name})" for name in (PICTURE, TURNTABLE) if name in sizes)
     yield ""
-    yield f"* Error of the coefficients {record.figures['error of the coefficients']}"
+    yield f"* Error of the asset {record.figures['error of the coefficients']}"
     yield (
         f"* {record.figures['vertices']:,} vertices, {record.figures['view bins']:,} view bins, harmonics of degree "
         f"{record.figures['degree']}; all figures: {SUMMARY}"

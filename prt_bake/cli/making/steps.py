@@ -32,7 +32,7 @@ _LEAST_USABLE = 0.5
 """Share of the time by which steps are planned, however much of it interrupted runs lost."""
 _OVERRUN = 0.05
 """Share of the time by which the last steps may exceed it."""
-_BAKE_ERROR, _COMPRESSION_ERROR = 0.02, 0.005
+_BAKE_ERROR, COMPRESSION_ERROR = 0.02, 0.005
 _COARSE = ("--rings", "4", "--sectors", "8", "--samples", "18", "--lobes", "0")
 """A bake that takes seconds, for slow machines whose time is over before an adaptive bake has its first pass."""
 _PICTURE_SIDE, _TURNTABLE_SIDE, _TURNTABLE_SAMPLES = 512, 256, 2
@@ -126,7 +126,7 @@ class Steps:
         from prt_bake.baking.compress import compress_file
 
         asset, compact = self._file(ASSET), self._file(COMPACT)
-        arguments = ["compress", asset, "-o", compact, "--error", f"{_COMPRESSION_ERROR:g}"]
+        arguments = ["compress", asset, "-o", compact, "--error", f"{COMPRESSION_ERROR:g}"]
         latest = self._deadline + _OVERRUN * self._total
         self._announce("compress", arguments)
         began = time.monotonic()
@@ -138,7 +138,7 @@ class Steps:
                     if time.monotonic() > latest:
                         raise _OutOfTimeError
 
-                compress_file(Path(asset), Path(compact), _COMPRESSION_ERROR, show_until_the_end, _text(arguments))
+                compress_file(Path(asset), Path(compact), COMPRESSION_ERROR, show_until_the_end, _text(arguments))
         except _OutOfTimeError:
             self._skip("compress", arguments)
             return
