@@ -212,6 +212,13 @@ def test_more_minutes_train_on(kitchen, capsys):
         kitchen.run("wax.toml", "-o", "out", "--minutes", "20")
 
 
+def test_minutes_that_are_over_already_are_refused(kitchen):
+    kitchen.seconds["train"] = 900.0
+    kitchen.run("wax.toml", "-o", "out", "--minutes", "16")
+    with pytest.raises(PrtbakeError, match=r"out: has taken \d\d:\d\d min already, found --minutes 17; ask for more"):
+        kitchen.run("wax.toml", "-o", "out", "--minutes", "17")
+
+
 def test_other_pictures_are_made_alone(kitchen):
     kitchen.run("wax.toml", "-o", "out")
     calls = kitchen.run("wax.toml", "-o", "out", "--light", "sun:0,1,0", "--tone-map", "none", "--view", "back")

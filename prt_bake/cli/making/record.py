@@ -14,6 +14,7 @@ from filelock import FileLock, Timeout
 from formats.errors import FormatError, StorageError
 from formats.journal import journal_folder
 from formats.json_report import write_report
+from prt_bake.cli.shared.progress import in_words
 from prt_bake.network.file_names import importance_path, report_paths, state_path
 
 MODEL, ASSET, COMPACT = "model.pt", "asset.h5", "compact.h5"
@@ -107,6 +108,11 @@ class Record:
             raise StorageError(
                 f"{self.folder}: was made for {self.minutes:g} minutes, found --minutes {minutes:g}; omit it to keep "
                 "the time, ask for more to train on, or add --force to make everything anew"
+            )
+        if 60.0 * minutes <= self.spent:
+            raise StorageError(
+                f"{self.folder}: has taken {in_words(self.spent)} already, found --minutes {minutes:g}; ask for "
+                "more, or omit it"
             )
         self.minutes = minutes
         self.unfinished |= {step.name: step.seconds for step in self.steps if step.name == "train"}
