@@ -101,9 +101,9 @@ def make(
             write_draft(draft)
         read = _read(path)
         settings = {"scene": path.name, "scene_hash": read.content_hash}
-        pictures = {"light": ", ".join(light) if light else _USUAL_LIGHT, "--tone-map": tone_map}
-        pictures |= {"--exposure": f"{exposure:g}"} if exposure else {}
-        pictures |= {"--view": side} if side else {}
+        options = ["--tone-map", tone_map, *(["--exposure", f"{exposure:g}"] if exposure else [])]
+        options += ["--view", side] if side else []
+        pictures = {"light": ", ".join(light) if light else _USUAL_LIGHT, "options": options}
         record = Record.open(folder, settings, pictures, minutes, force)
         Steps(context, record, path, _short(read.mesh_path), lights).run()
         record.figures = figures(folder)

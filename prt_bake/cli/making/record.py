@@ -44,7 +44,7 @@ class Record:
     Attributes:
         folder: where everything is written.
         settings: what all files depend on; plain JSON values.
-        pictures: what the pictures depend on besides.
+        pictures: what the pictures depend on as well: their "light" in words, and "options" of `prtbake shade`.
         minutes: time of everything that is made in the folder, by however many runs.
         spent: seconds of all runs so far.
         steps: the finished ones.

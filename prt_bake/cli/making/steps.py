@@ -146,7 +146,7 @@ class Steps:
 
     def _shade(self, name: str, side: int) -> list[str]:
         lights = [word for light in self._lights for word in ("--light", light)]
-        options = [word for name, value in self._record.pictures.items() if name != "light" for word in (name, value)]
+        options = self._record.pictures["options"]
         size = ["--size", f"{side}x{side}"]
         return ["shade", self._file(ASSET), *lights, "--reflection", *options, *size, "-o", self._file(name)]
 
