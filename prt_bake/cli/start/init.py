@@ -55,39 +55,34 @@ def init(
 
     Without --size a glTF mesh is in metres, and any other is taken to be 10 cm long.
     """
+    from prt_bake.inspection.translucency import translucent_size
+
     path = output or Path(f"{mesh.stem}.toml")
-    better = write_scene(mesh, material, size, path, up, force)
-    if better is None:
-        say_next("prtbake", "make", path, "-o", path.stem)
-    else:
-        others = (*(() if output is None else ("-o", output)), *(() if up == "y" else ("--up", up)))
-        say_next("prtbake", "init", mesh, "--material", material, "--size", better, *others, "--force")
-
-
-def write_scene(
-    mesh_path: Path, material: str | None, size: str | None, path: Path, up: Literal["y", "z"], force: bool
-) -> str | None:
-    """Write the scene of a mesh, and print what was chosen.
-
-    Returns a better size if none was given and the object will look opaque, else None.
-
-    Raises typer.BadParameter for an unknown material or size, MeshError for a mesh that is not sound, and StorageError
-    if the scene exists and `force` is not given.
-    """
-    mesh_path.stat()  # a file that is not there is reported first
-    refuse_other_kinds({"MESH": (mesh_path, ("mesh",))})
-    check_outputs({"--output": path}, {"MESH": mesh_path})
+    mesh.stat()  # a file that is not there is reported first
+    refuse_other_kinds({"MESH": (mesh, ("mesh",))})
+    check_outputs({"--output": path}, {"MESH": mesh})
     if path.exists() and not force:
         raise StorageError(f"{path}: already exists; add --force to replace it, or choose another name with -o")
+    draft = draft_scene(mesh, material, size, path, up)
+    if size is None and draft.light.opaque:
+        better = translucent_size(draft.light)
+        write_draft(draft, better)
+        others = (*(() if output is None else ("-o", output)), *(() if up == "y" else ("--up", up)))
+        say_next("prtbake", "init", mesh, "--material", material, "--size", better, *others, "--force")
+    else:
+        write_draft(draft)
+        say_next("prtbake", "make", path, "-o", path.stem)
+
+
+def write_draft(draft: "SceneDraft", better: str | None = None) -> None:
+    """Write the scene of a mesh, and print what was chosen; `better` is a size that does not look opaque."""
     from formats.atomic import replacing
     from prt_bake.inspection import translucency
 
-    draft = draft_scene(mesh_path, material, size, path, up)
-    with replacing(path) as part:
+    with replacing(draft.path) as part:
         part.write_text(draft.text(), encoding="utf-8")
     if not draft.material.measured:
         say(f"{draft.material.name} is {draft.material.source}")
-    better = translucency.translucent_size(draft.light) if size is None and draft.light.opaque else None
     if better is not None:
         say(
             f"remark: {draft.material.name} of this size looks opaque, like stone; {better} looks translucent: "
@@ -98,10 +93,9 @@ def write_scene(
     paths = draft.light.size / draft.light.transport
     least, most = translucency.digits(paths.min()), translucency.digits(paths.max())
     print(
-        f"{path}: {mesh_path.name} in {draft.material.name}, {draft.light.size:.4g} mm long, {least} to {most} "
-        f"transport mean free paths (about 5 to 50 look translucent)"
+        f"{draft.path}: {draft.mesh_path.name} in {draft.material.name}, {draft.light.size:.4g} mm long, {least} to "
+        f"{most} transport mean free paths (about 5 to 50 look translucent)"
     )
-    return better
 
 
 def draft_scene(
