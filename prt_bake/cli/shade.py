@@ -23,10 +23,12 @@ from prt_bake.cli.shared.options import (
     Mend,
     Orthographic,
     PictureSize,
+    Reflection,
     ReflectionNormals,
     Rotate,
     Size,
     Suns,
+    ToneMap,
     Up,
     View,
     optional_output,
@@ -55,17 +57,8 @@ def shade(
     up: Up = None,
     rotate: Rotate = 0.0,
     exposure: Exposure = 0.0,
-    tone_map: Annotated[
-        Literal["none", "agx"],
-        typer.Option(help="Of .png and animations: none clips bright light; agx, as in Blender, turns it white."),
-    ] = "none",
-    reflection: Annotated[
-        bool,
-        typer.Option(
-            "--reflection/--no-reflection",
-            help="Add light reflected at the surface: GGX with the asset's index of refraction and roughness.",
-        ),
-    ] = False,
+    tone_map: ToneMap = "none",
+    reflection: Reflection = False,
     roughness: Annotated[
         str | None,
         typer.Option(

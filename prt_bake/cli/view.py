@@ -21,9 +21,11 @@ from prt_bake.cli.shared.options import (
     LookAt,
     Mend,
     Point,
+    Reflection,
     Rotate,
     Size,
     Suns,
+    ToneMap,
     Up,
     View,
     optional_output,
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
     from prt_bake.geometry.camera import Camera
     from prt_bake.preview.state import Preview
     from prt_bake.shading.sun_shading import SunTreatment
+    from prt_bake.shading.tone_map import ToneMap as ToneMapName
 
 DEFAULT_SIZE = Size(960, 720)
 _WITHOUT_DISPLAY = "there is no display for the window; --screenshot F.png writes the picture without one"
@@ -77,6 +80,8 @@ def view(
     fov: Fov = USUAL_FOV,
     rotate: Rotate = 0.0,
     exposure: Exposure = 0.0,
+    tone_map: ToneMap = "none",
+    reflection: Reflection = False,
     up: Up = None,
     mend: Mend = False,
     suns: Suns = "split",
@@ -89,7 +94,9 @@ def view(
     if screenshot is None and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         raise QueryError(f"view: {_WITHOUT_DISPLAY}")
     check_outputs({"--screenshot": screenshot}, {"ASSET": asset, "--light": light, "--compare": compare})
-    options = _Options(light, up, rotate, exposure, mend, suns, compare, size, side, eye, look_at, fov)
+    options = _Options(
+        light, up, rotate, exposure, tone_map, reflection, mend, suns, compare, size, side, eye, look_at, fov
+    )
     from formats.asset import read_asset
 
     with ThreadPoolExecutor(1) as executor:
@@ -119,6 +126,8 @@ class _Options(NamedTuple):
     up: str | None
     rotate: float
     exposure: float
+    tone_map: "ToneMapName"
+    reflection: bool
     mend: bool
     suns: "SunTreatment"
     compare: Path | None
@@ -147,12 +156,21 @@ def _open(baked: "Asset", options: _Options, refined: bool) -> _Opened:
 
     light = options.light
     if light is None:
-        from prt_bake.preview.polydata import shipped_sky
+        from prt_bake.shipped.examples import example
 
-        light = [shipped_sky()] if baked.quantity == "transfer" else []
+        light = [str(example("sky.hdr"))] if baked.quantity == "transfer" else []
     axis = options.up or baked.up
     sources = [LightSource(text, axis, baked.degree, options.mend, say, baked.mesh) for text in light]
-    preview = Preview(baked, sources, up=axis, rotation=options.rotate, exposure=options.exposure, suns=options.suns)
+    preview = Preview(
+        baked,
+        sources,
+        up=axis,
+        rotation=options.rotate,
+        exposure=options.exposure,
+        suns=options.suns,
+        reflecting=options.reflection,
+        tone_map=options.tone_map,
+    )
     reference = None if options.compare is None else read_image(options.compare)
     shape = options.size or (DEFAULT_SIZE if reference is None else Size(reference.shape[1], reference.shape[0]))
     start = camera_for(baked.mesh, shape, axis, options.side, options.eye, options.look_at, options.fov, False, None)
@@ -188,8 +206,12 @@ def _show(window: Any, plotter: Any, opened: _Opened, name: str, screenshot: Pat
 
 def _remarks(preview: "Preview") -> list[str]:
     """Return what the asset cannot show."""
+    from prt_bake.preview import reasons
+
     asset = preview.asset
     remarks = [item["reason"] for item in asset.left_out if item["item"] in ("other lights", "other views")]
     if not asset.complete:
         remarks.append("is a partial bake; vertices not yet baked are black")
+    if preview.reflecting and (reason := reasons.of_reflection(preview)):
+        remarks.append(reason)
     return remarks

@@ -16,9 +16,8 @@ from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from formats.mesh import Mesh
 from prt_bake.preview import shaders
-from prt_bake.preview.state import Interface
-
-_LEAST_GAIN = -126.0
+from prt_bake.preview.mirrored import Interface
+from prt_bake.shading.tone_map import ToneMap
 
 
 class Shaded:
@@ -37,9 +36,10 @@ class Shaded:
         self._uniforms: Any = self.actor.GetShaderProperty().GetFragmentCustomUniforms()
         self.set_exposure(0.0)
 
-    def set_exposure(self, exposure: float) -> None:
-        """Set the exposure in EV."""
-        self._uniforms.SetUniformf("gain", 2.0 ** max(exposure, _LEAST_GAIN))
+    def set_exposure(self, exposure: float, tone_map: ToneMap = "none") -> None:
+        """Set the exposure in EV and the tone map."""
+        self._uniforms.SetUniformf("gain", 2.0**exposure)
+        self._uniforms.SetUniformi("toneMap", int(tone_map == "agx"))
 
     def set_picture(self, picture: NDArray[np.float32]) -> None:
         """Set the texture to a linear picture [H,W,3], row 0 on top."""

@@ -1,14 +1,33 @@
-"""The sky prefiltered for reflection: blurred by the GGX lobe of the surface."""
+"""The surface that reflects, and the sky prefiltered for it: blurred by its GGX lobe."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.asset import Asset
+
+_SAME_INDEX = 1e-9
 _SHARPEST = 0.02
 """Below this alpha the sky is not prefiltered."""
 _LEAST_ROWS, _MOST_ROWS = 48, 128
 _ROWS_TIMES_ALPHA = 12.0
+
+
+@dataclass(frozen=True, eq=False)
+class Interface:
+    """The reflecting surface: relative index of refraction `eta`, GGX roughness `alpha`."""
+
+    eta: float
+    alpha: float
+
+
+def interface_of(asset: Asset) -> Interface | None:
+    """Return the surface of the asset's object, or None if its index is 1, which reflects nothing."""
+    if abs(asset.eta - 1.0) < _SAME_INDEX:
+        return None
+    return Interface(asset.eta, asset.roughness or 0.0)
 
 
 def prefiltered_sky(picture: NDArray[np.float32], alpha: float) -> NDArray[np.float32]:

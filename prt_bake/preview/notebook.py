@@ -8,8 +8,8 @@ import ipywidgets
 import numpy as np
 from PIL import Image
 
-from prt_bake.preview.state import MOST_EXPOSURE
 from prt_bake.preview.view import View
+from prt_bake.preview.window import SLIDER_EXPOSURE
 
 _STEEPEST = 85.0
 """Of the eye, in degrees above or below the object."""
@@ -21,7 +21,7 @@ def controls(view: View) -> Any:
     away = start.eye - start.target
     height = math.degrees(math.asin(float(away @ start.up / np.linalg.norm(away))))
     light = _slider("light", preview.rotation, 180.0, 5.0)
-    exposure = _slider("exposure", preview.exposure, MOST_EXPOSURE, 0.25)
+    exposure = _slider("exposure", preview.exposure, SLIDER_EXPOSURE, 0.25)
     around, above = _slider("around", 0.0, 180.0, 5.0), _slider("above", height, _STEEPEST, 5.0)
     reflection = ipywidgets.Checkbox(preview.reflecting, description="reflection")
     picture = ipywidgets.Image(format="png")

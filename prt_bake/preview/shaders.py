@@ -1,12 +1,47 @@
 """GLSL code of the preview. Radiance is linear until the last line, which encodes it as `formats.image.png` does."""
 
-ENCODE = """
+import numpy as np
+from numpy.typing import NDArray
+
+from prt_bake.shading import tone_map
+
+
+def _matrix(matrix: NDArray[np.float64]) -> str:
+    return f"mat3({', '.join(f'{number:.9f}' for number in matrix.T.ravel())})"
+
+
+def _polynomial(coefficients: NDArray[np.float64]) -> str:
+    """Return the polynomial of `encoded` by Horner's rule; `coefficients` begin with that of the highest power."""
+    code = f"vec3({coefficients[0]:.9f})"
+    for coefficient in coefficients[1:]:
+        code = f"({code}) * encoded + {coefficient:.9f}"
+    return code
+
+
+AGX = f"""
+vec3 agx(vec3 linear) {{
+  vec3 inside = {_matrix(tone_map.INSET)} * max({_matrix(tone_map.TO_REC2020)} * linear, 0.0);
+  vec3 stops = log2(max(inside, 1e-10));
+  vec3 encoded = clamp((stops - {tone_map.LOWEST:.9f}) / {tone_map.HIGHEST - tone_map.LOWEST:.9f}, 0.0, 1.0);
+  encoded = {_polynomial(tone_map.CURVE)};
+  vec3 shown = pow(max({_matrix(tone_map.OUTSET)} * encoded, 1e-9), vec3({tone_map.DISPLAY_GAMMA:.9f}));
+  return {_matrix(tone_map.FROM_REC2020)} * shown;
+}}
+"""
+"""As `prt_bake.shading.tone_map`."""
+
+ENCODE = (
+    AGX
+    + """
 vec3 encoded(vec3 linear) {
-  vec3 value = clamp(linear * gain, 0.0, 1.0);
+  vec3 value = linear * gain;
+  if (toneMap > 0) value = agx(value);
+  value = clamp(value, 0.0, 1.0);
   return mix(12.92 * value, 1.055 * pow(max(value, vec3(1e-9)), vec3(1.0 / 2.4)) - 0.055, step(0.0031308, value));
 }
 """
-"""Uniform: gain, 2 to the power of the exposure."""
+)
+"""Uniforms: gain, 2 to the power of the exposure; toneMap, 1 for AgX."""
 
 LOOK_UP = """
 vec3 fromSky(vec3 direction) {

@@ -166,6 +166,17 @@ Exposure = Annotated[
     float,
     typer.Option(min=-64, max=64, metavar="EV", help="Multiply by 2^EV before the sRGB curve (PNG only)."),
 ]
+ToneMap = Annotated[
+    Literal["none", "agx"],
+    typer.Option(help="Of .png and animations: none clips bright light; agx, as in Blender, turns it white."),
+]
+Reflection = Annotated[
+    bool,
+    typer.Option(
+        "--reflection/--no-reflection",
+        help="Add light reflected at the surface: GGX with the asset's index of refraction and roughness.",
+    ),
+]
 ReflectionNormals = Annotated[
     Literal["vertex", "face"] | None,
     typer.Option(
