@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from formats.errors import FormatError
-from prt_bake.cli.shared.next_step import say_next
+from prt_bake.cli.shared.next_step import say_next, unused
 
 
 def check(
@@ -29,6 +29,8 @@ def check(
     print(f"{file}: sound")
     kind = kind_of(file)
     if kind == "mesh":
-        say_next("prtbake", "init", file, "--material", "jade")
+        default = Path(f"{file.stem}.toml")
+        output = ("-o", unused(default)) if default.exists() else ()
+        say_next("prtbake", "init", file, "--material", "jade", *output)
     if kind == "scene":
-        say_next("prtbake", "train", file, "-o", file.with_suffix(".pt").name)
+        say_next("prtbake", "train", file, "-o", unused(Path(f"{file.stem}.pt")))

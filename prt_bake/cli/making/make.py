@@ -73,7 +73,7 @@ def make(
     record.write()
     write_page(record)
     print(f"{folder / PAGE}: error of the coefficients {record.figures['error of the coefficients']}")
-    say_next_of_asset(folder / ASSET)
+    say_next_of_asset(folder / ASSET, "--reflection", lights=light or ())
 
 
 def _scene_file(scene: Path, folder: Path, material: str | None, size: str | None, force: bool) -> Path:

@@ -7,7 +7,7 @@ import typer
 
 from formats.errors import MeshError, StorageError
 from prt_bake.cli.shared.kinds import refuse_other_kinds
-from prt_bake.cli.shared.next_step import say_next
+from prt_bake.cli.shared.next_step import say_next, unused
 from prt_bake.cli.shared.options import optional_output
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
@@ -49,7 +49,7 @@ def init(
     """
     path = output or Path(f"{mesh.stem}.toml")
     write_scene(mesh, material, size, path, up, force)
-    say_next("prtbake", "make", path, "-o", path.stem)
+    say_next("prtbake", "make", path, "-o", unused(path.with_suffix("")))
 
 
 def write_scene(
@@ -108,20 +108,19 @@ def _material(name: str | None) -> "Material":
     from formats.scene.materials import find_material
 
     if name is None:
-        raise typer.BadParameter(f"Missing option '--material'. {_materials_by_group()}")
+        raise typer.BadParameter(f"Missing option '--material', such as {_usual_materials()}")
     try:
         return find_material(name)
     except KeyError as cause:
         raise typer.BadParameter(f"--material: unknown material {name!r}; {cause.args[0]}") from None
 
 
-def _materials_by_group() -> str:
+def _usual_materials() -> str:
     from formats.scene.materials import materials
 
-    groups: dict[str, list[str]] = {}
-    for material in materials().values():
-        groups.setdefault(material.group, []).append(material.name)
-    return "; ".join(f"{group}: {', '.join(names)}" for group, names in groups.items())
+    every = materials().values()
+    solid = [material.name for material in every if not material.measured]
+    return f"{', '.join(solid)}; `prtbake materials` lists these and {len(every) - len(solid)} measured ones"
 
 
 def _length(size: str | None) -> float | None:
