@@ -16,7 +16,7 @@ from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from formats.mesh import Mesh
 from prt_bake.preview import shaders
-from prt_bake.preview.mirrored import Interface
+from prt_bake.preview.mirrored import ALBEDOS, Interface, directional_albedo
 from prt_bake.shading.tone_map import ToneMap
 
 
@@ -134,7 +134,7 @@ class Object(Shaded):
         for name in ("colour", "shadingNormal"):
             points = vtkDataObject.FIELD_ASSOCIATION_POINTS
             self._mapper.MapDataArrayToVertexAttribute(f"{name}MC", name, points, -1)
-        self._uniforms.SetUniformf("eta", 1.0 if interface is None else interface.eta)
+        self._interface = interface
         self._reflects = False
         self._write_shader()
 
@@ -148,6 +148,7 @@ class Object(Shaded):
             self.set_picture(picture)
         if self._reflects is not (picture is not None):
             self._reflects = picture is not None
+            self._uniforms.SetUniform1fv("albedo", ALBEDOS, directional_albedo(self._interface).tolist())
             self._write_shader()
 
     def set_camera(self, eye: NDArray[np.float64], to_sky: NDArray[np.float64]) -> None:

@@ -3,14 +3,15 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from prt_bake.preview.mirrored import ALBEDOS
 from prt_bake.shading import tone_map
 
 
-def _matrix(matrix: NDArray[np.float64]) -> str:
+def _matrix(matrix: NDArray[np.floating]) -> str:
     return f"mat3({', '.join(f'{number:.9f}' for number in matrix.T.ravel())})"
 
 
-def _polynomial(coefficients: NDArray[np.float64]) -> str:
+def _polynomial(coefficients: NDArray[np.floating]) -> str:
     """Return the polynomial of `encoded` by Horner's rule; `coefficients` begin with that of the highest power."""
     code = f"vec3({coefficients[0]:.9f})"
     for coefficient in coefficients[1:]:
@@ -78,21 +79,20 @@ out vec3 positionMC;
 OBJECT_VERTEX = "colour = colourMC;\nshadingNormal = shadingNormalMC;\npositionMC = vertexMC.xyz;\n"
 OBJECT_DECLARATIONS = "in vec4 colour;\nin vec3 shadingNormal;\nin vec3 positionMC;\n"
 
-REFLECTANCE = """
-float reflectance(float cosine) {
-  float inner = sqrt(max(1.0 - (1.0 - cosine * cosine) / (eta * eta), 0.0));
-  float parallel = (eta * cosine - inner) / (eta * cosine + inner);
-  float crossed = (cosine - eta * inner) / (cosine + eta * inner);
-  return 0.5 * (parallel * parallel + crossed * crossed);
-}
+REFLECTANCE = f"""
+float reflectance(float cosine) {{
+  float place = sqrt(cosine) * {ALBEDOS - 1}.0;
+  int below = min(int(place), {ALBEDOS - 2});
+  return mix(albedo[below], albedo[below + 1], place - float(below));
+}}
 """
-"""Unpolarised Fresnel reflectance. Uniform: eta."""
+"""Uniform: albedo, as `prt_bake.preview.mirrored.directional_albedo`."""
 
 OBJECT = "vec3 radiance = colour.a > 0.0 ? colour.rgb / colour.a : vec3(0.0);\n"
 OBJECT_REFLECTION = """
 vec3 outgoing = normalize(eyeMC - positionMC);
 vec3 normal = normalize(shadingNormal);
-radiance += reflectance(clamp(dot(outgoing, normal), 0.001, 1.0)) * fromSky(reflect(-outgoing, normal));
+radiance += reflectance(clamp(dot(outgoing, normal), 0.0, 1.0)) * fromSky(reflect(-outgoing, normal));
 """
 """Uniform: eyeMC, the position of the eye."""
 OBJECT_OUTPUT = "gl_FragData[0] = vec4(encoded(radiance), 1.0);\n"
