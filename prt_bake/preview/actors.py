@@ -34,12 +34,15 @@ class Shaded:
         self._mapper.ScalarVisibilityOff()
         self.actor = pv.Actor(mapper=self._mapper)
         self._uniforms: Any = self.actor.GetShaderProperty().GetFragmentCustomUniforms()
+        self._tone_map: ToneMap = "none"
         self.set_exposure(0.0)
 
     def set_exposure(self, exposure: float, tone_map: ToneMap = "none") -> None:
         """Set the exposure in EV and the tone map."""
         self._uniforms.SetUniformf("gain", 2.0**exposure)
-        self._uniforms.SetUniformi("toneMap", int(tone_map == "agx"))
+        if tone_map != self._tone_map:
+            self._tone_map = tone_map
+            self._write_shader()
 
     def set_picture(self, picture: NDArray[np.float32]) -> None:
         """Set the texture to a linear picture [H,W,3], row 0 on top."""
@@ -48,6 +51,10 @@ class Shaded:
         texture.repeat = True
         self.actor.texture = texture
         self._uniforms.SetUniformf("halfRow", 0.5 / len(picture))
+
+    def _write_shader(self) -> None:
+        """Write the shaders anew."""
+        raise NotImplementedError
 
     def _set_vector(self, name: str, vector: NDArray[np.float64]) -> None:
         self._uniforms.SetUniform3f(name, vector.tolist())
@@ -77,8 +84,13 @@ class _FullScreen(Shaded):
         mesh.active_texture_coordinates = 0.5 + 0.5 * corners[:, :2]
         super().__init__(mesh)
         self.actor.use_bounds = False
+        self._declarations, self._code = declarations, code
+        self._write_shader()
+
+    def _write_shader(self) -> None:
+        self.actor.clear_shader_replacements()
         self.actor.add_shader_replacement("vertex", "//VTK::PositionVC::Impl", shaders.FULL_SCREEN)
-        self._replace_fragment_shader(shaders.ENCODE + declarations, code)
+        self._replace_fragment_shader(shaders.encode(self._tone_map) + self._declarations, self._code)
 
 
 class Sky(_FullScreen):
@@ -148,7 +160,8 @@ class Object(Shaded):
             self.set_picture(picture)
         if self._reflects is not (picture is not None):
             self._reflects = picture is not None
-            self._uniforms.SetUniform1fv("albedo", ALBEDOS, directional_albedo(self._interface).tolist())
+            if self._interface is not None:
+                self._uniforms.SetUniform1fv("albedo", ALBEDOS, directional_albedo(self._interface).tolist())
             self._write_shader()
 
     def set_camera(self, eye: NDArray[np.float64], to_sky: NDArray[np.float64]) -> None:
@@ -164,7 +177,7 @@ class Object(Shaded):
         """Write the shaders, without the code of the reflection if there is none."""
         self.actor.clear_shader_replacements()
         self._extend_vertex_shader(shaders.OBJECT_VERTEX_DECLARATIONS, shaders.OBJECT_VERTEX)
-        declarations = shaders.OBJECT_DECLARATIONS + shaders.ENCODE
+        declarations = shaders.OBJECT_DECLARATIONS + shaders.encode(self._tone_map)
         if self._reflects:
             declarations += shaders.LOOK_UP + shaders.REFLECTANCE
         reflection = shaders.OBJECT_REFLECTION if self._reflects else ""

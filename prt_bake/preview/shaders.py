@@ -19,7 +19,15 @@ def _polynomial(coefficients: NDArray[np.floating]) -> str:
     return code
 
 
-AGX = f"""
+_ENCODE = """
+vec3 encoded(vec3 linear) {
+  vec3 value = clamp(linear * gain, 0.0, 1.0);
+  return mix(12.92 * value, 1.055 * pow(max(value, vec3(1e-9)), vec3(1.0 / 2.4)) - 0.055, step(0.0031308, value));
+}
+"""
+"""Uniform: gain, 2 to the power of the exposure."""
+
+_AGX = f"""
 vec3 agx(vec3 linear) {{
   vec3 inside = {_matrix(tone_map.INSET)} * max({_matrix(tone_map.TO_REC2020)} * linear, 0.0);
   vec3 stops = log2(max(inside, 1e-10));
@@ -31,18 +39,11 @@ vec3 agx(vec3 linear) {{
 """
 """As `prt_bake.shading.tone_map`."""
 
-ENCODE = (
-    AGX
-    + """
-vec3 encoded(vec3 linear) {
-  vec3 value = linear * gain;
-  if (toneMap > 0) value = agx(value);
-  value = clamp(value, 0.0, 1.0);
-  return mix(12.92 * value, 1.055 * pow(max(value, vec3(1e-9)), vec3(1.0 / 2.4)) - 0.055, step(0.0031308, value));
-}
-"""
-)
-"""Uniforms: gain, 2 to the power of the exposure; toneMap, 1 for AgX."""
+
+def encode(mapping: tone_map.ToneMap) -> str:
+    """Return the code of `encoded`. A tone map that is off is left out: Mesa would compute it nevertheless."""
+    return _ENCODE if mapping == "none" else _AGX + _ENCODE.replace("linear * gain", "agx(linear * gain)")
+
 
 LOOK_UP = """
 vec3 fromSky(vec3 direction) {
