@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -12,6 +13,7 @@ import typer
 from formats.errors import QueryError
 from formats.extras import require
 from prt_bake.cli.shared import signals
+from prt_bake.cli.shared.fixed import fixed_light, fixed_view
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.options import (
     USUAL_FOV,
@@ -114,7 +116,7 @@ def view(
         plotter.show(auto_close=False, interactive=False)
         opened = _open(reading.result(), options, off_screen)
     print(f"{asset}: error of the coefficients {opened.preview.asset.error}")
-    for remark in _remarks(opened.preview):
+    for remark in _remarks(opened.preview, light or [], opened.start.eye if off_screen else None):
         say(f"{asset}: {remark}")
     _show(window, plotter, opened, asset.name, screenshot, compare)
 
@@ -204,14 +206,15 @@ def _show(window: Any, plotter: Any, opened: _Opened, name: str, screenshot: Pat
     plotter.close()
 
 
-def _remarks(preview: "Preview") -> list[str]:
-    """Return what the asset cannot show."""
+def _remarks(preview: "Preview", lights: list[str], screenshot_eye: Any) -> Iterator[str]:
+    """Yield what the asset cannot show; `screenshot_eye` is None in a window, whose eye moves."""
     from prt_bake.preview import reasons
 
     asset = preview.asset
-    remarks = [item["reason"] for item in asset.left_out if item["item"] in ("other lights", "other views")]
+    for light in lights or [""]:
+        yield from fixed_light(asset, [light] if light else [], preview.rotation)
+    yield from fixed_view(asset, screenshot_eye)
     if not asset.complete:
-        remarks.append("is a partial bake; vertices not yet baked are black")
+        yield "is a partial bake; vertices not yet baked are black"
     if preview.reflecting and (reason := reasons.of_reflection(preview)):
-        remarks.append(reason)
-    return remarks
+        yield reason

@@ -35,6 +35,7 @@ _SLICE, _PAUSE = 0.02, 1
 _SLIDER_HEIGHT, _SLIDER_TOP, _KNOB, _TUBE = 0.07, 0.1, (0.015, 0.03), 0.006
 """Height of the sliders and of their upper ends, length and width of a knob, and width of a tube, relative to the
 window."""
+_TUBE_GREY = 0.4, 0.4, 0.4
 
 
 class Window:
@@ -220,6 +221,7 @@ class Window:
             slider_width=_KNOB[1],
             tube_width=_TUBE,
         )
+        slider.GetRepresentation().GetTubeProperty().SetColor(_TUBE_GREY)  # also seen before an overexposed sky
         slider.GetRepresentation().SetSliderLength(_KNOB[0])
         slider.GetRepresentation().SetEndCapLength(0.0)
         slider.GetRepresentation().ShowSliderLabelOff()  # the text under it shows the value

@@ -59,7 +59,11 @@ def test_a_bake_for_one_eye_and_light_is_shown_from_there(prtbake: Run, tmp_path
     only = ("--for-light", "sky.exr", "--for-eye", "0,1,4.5")
     line = _next(prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", *SMALL, *only).err)
     assert " ".join(line).startswith(f"view {tmp_path / 'a.h5'} --light sky.exr --eye 0.0,1.0,4.5")
-    assert prtbake(*line).code == 0
+    shown = prtbake(*line)
+    assert (shown.code, shown.err) == (0, "")
+    other = prtbake(*line[:2], "--light", "sky.hdr", "--eye", "0,1,5", "--screenshot", tmp_path / "b.png")
+    assert "alone: the picture shows that light, not sky.hdr" in other.err
+    assert "from other positions its colours are wrong" in other.err
 
 
 def test_files_that_exist_are_not_written_by_the_next_command(prtbake: Run, folder: Path, tmp_path: Path) -> None:
