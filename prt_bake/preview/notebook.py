@@ -24,15 +24,17 @@ def controls(view: View) -> Any:
     exposure = _slider("exposure", preview.exposure, SLIDER_EXPOSURE, 0.25)
     around, above = _slider("around", 0.0, 180.0, 5.0), _slider("above", height, _STEEPEST, 5.0)
     reflection = ipywidgets.Checkbox(preview.reflecting, description="reflection")
+    agx = ipywidgets.Checkbox(preview.tone_map == "agx", description="AgX")
     picture = ipywidgets.Image(format="png")
     sliders = [light, exposure, around, above] if preview.relightable else [exposure, around, above]
-    shown = [*sliders, reflection] if preview.interface is not None and preview.lights else sliders
+    shown = [*sliders, agx, reflection] if preview.interface is not None and preview.lights else [*sliders, agx]
 
     def draw(_: Any = None) -> None:
         preview.rotate_to(light.value)
         preview.set_exposure(exposure.value)
         if reflection.value != preview.reflecting:
             preview.toggle_reflection()
+        preview.tone_map = "agx" if agx.value else "none"
         view.reset_camera()
         view.plotter.camera.Azimuth(around.value)
         view.plotter.camera.Elevation(above.value - height)

@@ -164,11 +164,11 @@ OnlyEye = Annotated[
 ]
 Exposure = Annotated[
     float,
-    typer.Option(min=-64, max=64, metavar="EV", help="Multiply by 2^EV before the sRGB curve (PNG only)."),
+    typer.Option(min=-64, max=64, metavar="EV", help="Multiply by 2^EV before the sRGB curve; not in .exr and .hdr."),
 ]
 ToneMap = Annotated[
     Literal["none", "agx"],
-    typer.Option(help="Of .png and animations: none clips bright light; agx, as in Blender, turns it white."),
+    typer.Option(help="none clips bright light; agx, as in Blender, turns it white. Not in .exr and .hdr."),
 ]
 Reflection = Annotated[
     bool,
