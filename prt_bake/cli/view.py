@@ -55,7 +55,7 @@ def view(
             "--light",
             metavar="LIGHT",
             help="Lat-long sky, lights file (.toml) or sun:x,y,z, as for `prtbake shade`; by default the shipped sky. "
-            "Can be repeated; the window switches between the lights. Files are reloaded when they change.",
+            "Can be repeated: the window switches between the lights and their sum. Changed files are reloaded.",
             show_default=False,
         ),
     ] = None,
@@ -163,6 +163,8 @@ def _open(baked: "Asset", options: _Options, refined: bool) -> _Opened:
         light = [str(example("sky.hdr"))] if baked.quantity == "transfer" else []
     axis = options.up or baked.up
     sources = [LightSource(text, axis, baked.degree, options.mend, say, baked.mesh) for text in light]
+    if len(light) > 1 and not refined:  # a screenshot shows the first one
+        sources.append(LightSource(light, axis, baked.degree, options.mend, lambda _: None, baked.mesh))
     preview = Preview(
         baked,
         sources,

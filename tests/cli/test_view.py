@@ -147,4 +147,4 @@ def test_the_window_is_shown(prtbake: Run, monkeypatch: pytest.MonkeyPatch) -> N
     in_memory = window.open_plotter
     monkeypatch.setattr(window, "open_plotter", lambda width, height, *_: in_memory(width, height, True))
     assert prtbake(*COMMAND, "--light", "sky.hdr", "--size", "64x48").code == 0
-    assert [source.name for source in seen[0].view.preview.lights] == ["sky.exr", "sky.hdr"]
+    assert [source.name for source in seen[0].view.preview.lights] == ["sky.exr", "sky.hdr", "sky.exr + sky.hdr"]
