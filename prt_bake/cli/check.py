@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from formats.errors import FormatError
-from prt_bake.cli.shared.next_step import say_next, unused
+from prt_bake.cli.shared.next_step import say_next
 
 
 def check(
@@ -29,8 +29,6 @@ def check(
     print(f"{file}: sound")
     kind = kind_of(file)
     if kind == "mesh":
-        default = Path(f"{file.stem}.toml")
-        output = ("-o", unused(default)) if default.exists() else ()
-        say_next("prtbake", "init", file, "--material", "jade", *output)
+        say_next("prtbake", "init", file, "--material", "jade")
     if kind == "scene":
-        say_next("prtbake", "train", file, "-o", unused(Path(f"{file.stem}.pt")))
+        say_next("prtbake", "train", file, "-o", file.with_suffix(".pt").name)

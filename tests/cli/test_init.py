@@ -130,7 +130,7 @@ def test_an_existing_scene_is_kept(init, tmp_path):
 
 
 WRONG = {
-    (): "Missing option '--material', such as jade, white jade, ",
+    (): "Missing option '--material'. estimates: jade, white jade, ",
     ("--material", "marbel"): "--material: unknown material 'marbel'; did you mean 'marble'?",
     ("--material", "wax", "--size", "14"): "--size: expected a positive length with its unit, such as 14cm",
     ("--material", "wax", "--size", "-1cm"): "--size: expected a positive length with its unit, such as 14cm",

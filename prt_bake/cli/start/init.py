@@ -108,19 +108,20 @@ def _material(name: str | None) -> "Material":
     from formats.scene.materials import find_material
 
     if name is None:
-        raise typer.BadParameter(f"Missing option '--material', such as {_usual_materials()}")
+        raise typer.BadParameter(f"Missing option '--material'. {_materials_by_group()}")
     try:
         return find_material(name)
     except KeyError as cause:
         raise typer.BadParameter(f"--material: unknown material {name!r}; {cause.args[0]}") from None
 
 
-def _usual_materials() -> str:
+def _materials_by_group() -> str:
     from formats.scene.materials import materials
 
-    every = materials().values()
-    solid = [material.name for material in every if not material.measured]
-    return f"{', '.join(solid)}; `prtbake materials` lists these and {len(every) - len(solid)} measured ones"
+    groups: dict[str, list[str]] = {}
+    for material in materials().values():
+        groups.setdefault(material.group, []).append(material.name)
+    return "; ".join(f"{group}: {', '.join(names)}" for group, names in groups.items())
 
 
 def _length(size: str | None) -> float | None:
