@@ -20,7 +20,8 @@ def fixed_view(baked: Any, eye: Any = None) -> Iterator[str]:
     if made_for is None:
         return
     if eye is None or any(abs(a - b) > 1e-6 * (1.0 + abs(b)) for a, b in zip(eye, made_for, strict=True)):
-        yield f"{_reasons(baked).get('other views', 'made for one position')}: from other positions its colours are wrong"
+        reason = _reasons(baked).get("other views", "made for one position")
+        yield f"{reason}: from other positions its colours are wrong"
 
 
 def _reasons(baked: Any) -> dict[str, str]:
