@@ -108,7 +108,7 @@ def make(
         record.write()
         write_page(record)
     print("\n".join(results(record)))
-    say_next_of_asset(folder / ASSET)
+    say_next_of_asset(folder / ASSET, "--reflection", lights=light or ())
 
 
 def _scene_file(
@@ -139,7 +139,17 @@ def _refuse_opaque(draft: "SceneDraft", folder: Path) -> None:
     from prt_bake.inspection.translucency import translucent_size
 
     name = draft.material.name
-    words = "prtbake", "make", draft.mesh_path, "-o", folder, "--material", name, "--size", translucent_size(draft.light)
+    words = (
+        "prtbake",
+        "make",
+        draft.mesh_path,
+        "-o",
+        folder,
+        "--material",
+        name,
+        "--size",
+        translucent_size(draft.light),
+    )
     raise typer.BadParameter(
         f"{draft.mesh_path}: at {draft.light.size:.4g} mm, no light crosses {name}, and the object would look like "
         f"stone; give its size, such as: {shlex.join(map(str, words))} (--size {draft.light.size:.4g}mm keeps it)"

@@ -8,7 +8,7 @@ import typer
 
 from formats.errors import MeshError, StorageError
 from prt_bake.cli.shared.kinds import refuse_other_kinds
-from prt_bake.cli.shared.next_step import say_next
+from prt_bake.cli.shared.next_step import say_next, unused
 from prt_bake.cli.shared.options import optional_output
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
@@ -71,7 +71,7 @@ def init(
         say_next("prtbake", "init", mesh, "--material", material, "--size", better, *others, "--force")
     else:
         write_draft(draft)
-        say_next("prtbake", "make", path, "-o", path.stem)
+        say_next("prtbake", "make", path, "-o", unused(path.with_suffix("")))
 
 
 def write_draft(draft: "SceneDraft", better: str | None = None) -> None:
