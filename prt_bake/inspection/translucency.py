@@ -119,12 +119,12 @@ def remark(light: Translucency, millimetres: float | None) -> str:
 
 
 def translucent_size(light: Translucency) -> str:
-    """Return a longest side that looks translucent, for an object in millimetres: 30 transport mean free paths.
+    """Return a longest side that looks translucent, for an object in millimetres: 20 transport mean free paths.
 
     >>> translucent_size(translucency(np.full(3, 2.0), np.zeros(3), 0.0, 9000.0))
-    '2cm'
+    '1cm'
     """
-    return f"{float(f'{3.0 * light.transport.max():.1g}'):g}cm"
+    return f"{float(f'{2.0 * light.transport.max():.1g}'):g}cm"
 
 
 def channels(values: Array) -> str:

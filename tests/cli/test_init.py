@@ -89,9 +89,9 @@ def test_a_large_gltf_object_leads_to_a_size_that_looks_translucent(init, meshes
     code, _, err = init("ball.glb", "--material", "wax", "-o", "w x.toml", "--up", "z")
     assert code == 0
     assert "ball.glb: glTF is in metres, so the object is 2000 mm long; --size changes that" in err
-    assert "remark: wax of this size looks opaque, like stone; 5cm looks translucent: --size 5cm" in err
+    assert "remark: wax of this size looks opaque, like stone; 3cm looks translucent: --size 3cm" in err
     assert read_scene(tmp_path / "w x.toml").unit == "m"
-    command = f"prtbake init {meshes / 'ball.glb'} --material wax --size 5cm -o 'w x.toml' --up z --force"
+    command = f"prtbake init {meshes / 'ball.glb'} --material wax --size 3cm -o 'w x.toml' --up z --force"
     assert err.endswith(f"next: {command}\n")
     assert main(shlex.split(command)[1:]) == 0
     assert not find_remarks(tmp_path / "w x.toml")[:-1]  # but for the energy that a rough surface loses
