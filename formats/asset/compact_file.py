@@ -1,4 +1,4 @@
-"""Writes and reads compact coefficients, the group /transfer_compact of an asset (docs/compression.md)."""
+"""Writes and reads compact coefficients, the group /transfer_compact of an asset."""
 
 import json
 import os

@@ -11,12 +11,12 @@ format_version 1.0, little-endian, with the filters gzip and shuffle only:
     /transfer     coefficients [V,B,K,C], valid [V], standard_error [V,B]; attributes quantity, formula, folded_in;
                   the error covariance (`error_covariance.py`): error_covariance, error_channels, error_apart, error_row
     /selftest     light, vertex, outgoing, radiance
-    /lobes        optional, format_version 1.1 (`lobes.py`, docs/asset.md)
+    /lobes        optional, format_version 1.1 (`formats.asset.lobes`)
     /provenance   json (one string), error_vs_time [rows,3]
 
 The axes B and C may have length 1 and are then broadcast: the view does not matter, or the channels are equal. Vertices
 with valid = 0 were not baked: their chunks are not written and read as 0. A compact asset has /transfer_compact instead
-of /transfer (`compact_file.py`, docs/compression.md).
+of /transfer (`formats.asset.compact_file`).
 """
 
 from collections.abc import Iterator

@@ -134,7 +134,7 @@ class Asset(AssetHead):
             eye: a point [3] in object space or directions to the eye [V,3]; by default that of `prt.fit_camera`.
 
         Its point arrays are "radiance" float32 [V,3], linear; "rgb" uint8 [V,3], sRGB, the active scalars; and
-        "Normals". Vertices that were not baked are black.
+        "Normals". Vertices that were not baked are black. Draw it with `lighting=False`: the colours hold the light.
 
         Raises PrtbakeError if PyVista is not installed, and what `prt.shade` and `prt.read_lighting` raise.
 

@@ -83,17 +83,15 @@ def find_material(name: str) -> Material:
     """Return the material of this name; only its letters and digits count, in either case.
 
     Raises:
-        KeyError: there is none; its argument suggests a similar name, or lists all.
+        KeyError: there is none; its argument suggests similar names, and where the list is.
     """
     plain, table = _plain(name), materials()
     material = table.get(ALIASES.get(plain, plain))
     if material is not None:
         return material
     names = {**{alias: alias for alias in ALIASES}, **{key: found.name for key, found in table.items()}}
-    close = difflib.get_close_matches(plain, names, n=1)
-    raise KeyError(
-        f"did you mean {names[close[0]]!r}?" if close else f"expected one of {', '.join(sorted(names.values()))}"
-    )
+    close = " or ".join(repr(names[key]) for key in difflib.get_close_matches(plain, names, n=3))
+    raise KeyError(f"{f'did you mean {close}? ' if close else ''}`prtbake materials` lists all")
 
 
 def _plain(name: str) -> str:

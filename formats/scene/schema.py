@@ -1,4 +1,4 @@
-"""The schema of a scene file: its TOML tables, their keys and ranges (docs/scene_files.md)."""
+"""The schema of a scene file: its TOML tables, their keys and ranges."""
 
 from typing import Annotated, Literal
 

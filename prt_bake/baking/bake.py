@@ -183,6 +183,8 @@ def bake(
     arguments |= {"minutes": minutes} if effort.adaptive else {"directions": directions, "samples": effort.samples}
     transport_hash, evaluations = ("", 0) if out is None else identity_of(transport, mesh, provenance or {})
     identity = {**arguments, "mesh": mesh.content_hash, "transport": transport_hash, "journal_version": JOURNAL_VERSION}
+    # Blocks do not depend on the time, so that a bake can be resumed with another one.
+    identity |= {} if minutes is None else {"minutes": "any"}
     tangents = sphere.tangent_frame(mesh.normals)
     head = asset_head(mesh, tangents, rings, sectors, degree, transport)
     report = known_before(transport, mesh, arguments, workers) | (provenance or {})

@@ -212,7 +212,8 @@ def bake(
             f"{written}: the bake was stopped before it was finished; the asset is complete, but coarser or without "
             f"lobes; the same command with --resume continues from {journal_folder(output).name} beside it"
         )
-    say_next_of_asset(written)
+    eye = () if for_eye is None else ("--eye", ",".join(map(str, for_eye)))
+    say_next_of_asset(written, *eye, lights=() if for_light is None else (for_light,))
 
 
 def _refuse_existing(output: Path, force: bool, resume: bool) -> None:

@@ -6,11 +6,13 @@ from typing import Annotated
 import typer
 
 from formats.errors import FormatError
-from prt_bake.cli.shared.next_step import say_next
+from prt_bake.cli.shared.next_step import say_next_of_file
 
 
 def check(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Mesh, sky, scene, model, asset or samples.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Mesh, picture, scene, lights, model, asset or samples.")
+    ],
 ) -> None:
     """Print every fault of a file.
 
@@ -27,8 +29,4 @@ def check(
     for remark in find_remarks(file):
         print(f"remark: {remark}")
     print(f"{file}: sound")
-    kind = kind_of(file)
-    if kind == "mesh":
-        say_next("prtbake", "init", file, "--material", "jade")
-    if kind == "scene":
-        say_next("prtbake", "train", file, "-o", file.with_suffix(".pt").name)
+    say_next_of_file(kind_of(file), file)

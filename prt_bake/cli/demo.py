@@ -51,4 +51,4 @@ def demo(
     print(f"noise of the reference: MSE {result.noise_mse:.3g} on the object")
     if not result.asset.complete:
         raise PrtbakeError(f"{out}: the bake was stopped; vertices not yet baked are black in the pictures")
-    say_next_of_asset(out / "spot.h5")
+    say_next_of_asset(out / "spot.h5", "--view", "three-quarter-back")  # where its pictures stand

@@ -1,5 +1,6 @@
 """`prtbake export`: writes a scene for Mitsuba 3."""
 
+import shutil
 from pathlib import Path
 from typing import Annotated
 
@@ -29,4 +30,5 @@ def export(
     check_outputs({"--output": exported_files(read, output)}, {"SCENE": scene}, folder=output)
     written = write_mitsuba_scene(read, output)
     print(f"wrote {written}")
-    say_next("mitsuba", written)
+    if shutil.which("mitsuba"):
+        say_next("mitsuba", written)

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from prt_bake.cli.shared.next_step import say_next, say_next_of_file
 from prt_bake.cli.shared.options import AsJson
 
 _LONGEST_LIST = 100
@@ -14,20 +15,27 @@ _LONGEST_LIST = 100
 
 
 def info(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Mesh, sky, scene, model, asset or samples.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Mesh, picture, scene, lights, model, asset or samples.")
+    ],
+    all_figures: Annotated[bool, typer.Option("--all", help="Print every figure and setting in the file.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Print the contents of a file."""
+    """Print what a file is, its object, its size and its error."""
     from prt_bake.inspection.files import describe
+    from prt_bake.inspection.overview import overview
 
     description = describe(file)
     if as_json:
         print(json.dumps(description, indent=2))
         return
-    lines = dict(_lines(description))
+    lines = dict(_lines(description)) if all_figures else overview(description)
     width = max(map(len, lines))
     for name, value in lines.items():
         print(f"{name:<{width}}  {value}")
+    if not all_figures:
+        say_next("prtbake", "info", file, "--all")
+    say_next_of_file(description["kind"], file)
 
 
 def _lines(values: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

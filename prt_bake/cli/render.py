@@ -9,7 +9,6 @@ import typer
 from formats.errors import PrtbakeError
 from prt_bake.cli.shared.kinds import LIGHT, SOURCE, refuse_other_kinds
 from prt_bake.cli.shared.mesh_name import naming_mesh
-from prt_bake.cli.shared.next_step import say_next
 from prt_bake.cli.shared.options import (
     FLAT_SHADED,
     IMAGE_SUFFIXES,
@@ -220,7 +219,6 @@ def render(
         )
     if not picture.complete:
         say(f"{output}: the time limit ended after {picture.spp} {_unit(is_scene)} per pixel; --resume continues")
-    say_next("prtbake", "compare", *(("IMAGE", output) if is_scene else (output, "REFERENCE")))
 
 
 def _refuse_network_options(sampling: str | None, device: str, precision: str, workers: int | None) -> None:

@@ -7,7 +7,7 @@ import typer
 
 from formats.errors import PrtbakeError
 from prt_bake.cli.shared.kinds import refuse_other_kinds
-from prt_bake.cli.shared.next_step import say_next
+from prt_bake.cli.shared.next_step import say_next, unused
 from prt_bake.cli.shared.options import Force, Seed, output_option
 from prt_bake.cli.shared.outputs import check_outputs, refuse_existing
 from prt_bake.cli.shared.progress import reporting, stopping
@@ -47,4 +47,4 @@ def sample(
     print(f"{output}: {done:,} queries of {directions} directions, {done * walks:,} paths")
     if done < count:
         raise PrtbakeError(f"{output}: the sampling was stopped; the file holds {done:,} of {count:,} queries")
-    say_next("prtbake", "train", scene, "--samples", output, "-o", scene.with_suffix(".pt").name)
+    say_next("prtbake", "train", scene, "--samples", output, "-o", unused(output.with_name(f"{scene.stem}.pt")))

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from formats.extras import require
+from prt_bake.cli.shared.fixed import fixed_light, fixed_view
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.options import (
     ANIMATION_SUFFIXES,
@@ -23,10 +24,12 @@ from prt_bake.cli.shared.options import (
     Mend,
     Orthographic,
     PictureSize,
+    Reflection,
     ReflectionNormals,
     Rotate,
     Size,
     Suns,
+    ToneMap,
     Up,
     View,
     optional_output,
@@ -55,17 +58,8 @@ def shade(
     up: Up = None,
     rotate: Rotate = 0.0,
     exposure: Exposure = 0.0,
-    tone_map: Annotated[
-        Literal["none", "agx"],
-        typer.Option(help="Of .png and animations: none clips bright light; agx, as in Blender, turns it white."),
-    ] = "none",
-    reflection: Annotated[
-        bool,
-        typer.Option(
-            "--reflection/--no-reflection",
-            help="Add light reflected at the surface: GGX with the asset's index of refraction and roughness.",
-        ),
-    ] = False,
+    tone_map: ToneMap = "none",
+    reflection: Reflection = False,
     roughness: Annotated[
         str | None,
         typer.Option(
@@ -95,7 +89,7 @@ def shade(
     turntable: Annotated[
         Literal["eye", "light"] | None,
         typer.Option(
-            help="Move the eye or the light once around the object: an animation (.webp, .mp4, .gif, .png), or "
+            help="Move the camera or the light once around the object: an animation (.webp, .mp4, .gif, .png), or "
             "numbered pictures if the name has a number in it (turn_%03d.png).",
             show_default=False,
         ),
@@ -317,28 +311,11 @@ def _shows(picture: Any) -> str:
 def _remarks(baked: Any, lights: list[str], rotate: float, eye: Any, picture: Any, reflection: bool) -> Iterator[str]:
     from prt_bake.shading.surface_reflection import reflects
 
-    yield from _fixed_light_and_view(baked, lights, rotate, eye)
+    yield from fixed_light(baked, lights, rotate)
+    yield from fixed_view(baked, eye)
     if not baked.complete:
         yield f"is a partial bake; {picture.unlit:.1%} of the visible object was not baked and is black"
     if reflection and not picture.reflects:
         yield "its index of refraction is 1, so its surface reflects nothing"
     if not reflection and reflects(baked):
         yield f"light reflected at its surface (index {baked.eta:g}) is not shown; --reflection adds it"
-
-
-def _fixed_light_and_view(baked: Any, lights: list[str], rotate: float, eye: Any) -> Iterator[str]:
-    """Yield remarks if an asset made for one light or one eye is shown under another one."""
-    reasons = {item["item"]: item["reason"] for item in baked.left_out}
-    if "other lights" in reasons and (rotate % 360.0 or not _same_light(baked, lights)):
-        rotated = f" rotated by {rotate:g} degrees" if rotate % 360.0 else ""
-        names = " and ".join(Path(light).name for light in lights)
-        yield f"{reasons['other lights']}: the picture shows that light, not {names}{rotated}"
-    made_for = baked.provenance.get("settings", {}).get("for_eye")
-    if made_for is not None and any(abs(a - b) > 1e-6 * (1.0 + abs(b)) for a, b in zip(eye, made_for, strict=True)):
-        yield f"{reasons.get('other views', 'made for one eye')}: from other positions its colours are wrong"
-
-
-def _same_light(baked: Any, lights: list[str]) -> bool:
-    from formats.atomic import sha256
-
-    return len(lights) == 1 and Path(lights[0]).is_file() and baked.folded_in == f"light {sha256(Path(lights[0]))}"

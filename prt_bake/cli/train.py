@@ -10,7 +10,7 @@ import typer
 from formats.errors import PrtbakeError
 from formats.extras import EVALUATE, missing_sentence
 from prt_bake.cli.shared.kinds import refuse_other_kinds
-from prt_bake.cli.shared.next_step import say_next
+from prt_bake.cli.shared.next_step import say_next, unused
 from prt_bake.cli.shared.options import Force, Seed, output_option
 from prt_bake.cli.shared.outputs import Paths, check_outputs, refuse_existing
 from prt_bake.cli.shared.progress import reporting, say, stopping
@@ -144,7 +144,8 @@ def train(
             print(f"{output}: {after_training.quality_of(network)}")
         if stop():
             raise PrtbakeError(f"{output}: the model is complete, and what should follow it was stopped")
-    say_next("prtbake", "bake", output, read.mesh_path, "-o", output.with_suffix(".h5"))
+    on = ("--device", device) if device == "cuda" else ()
+    say_next("prtbake", "bake", output, read.mesh_path, "-o", unused(output.with_suffix(".h5")), *on)
 
 
 def _details(row: "TrainingProgress") -> str:

@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -12,6 +13,7 @@ import typer
 from formats.errors import QueryError
 from formats.extras import require
 from prt_bake.cli.shared import signals
+from prt_bake.cli.shared.fixed import fixed_light, fixed_view
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.options import (
     USUAL_FOV,
@@ -21,9 +23,11 @@ from prt_bake.cli.shared.options import (
     LookAt,
     Mend,
     Point,
+    Reflection,
     Rotate,
     Size,
     Suns,
+    ToneMap,
     Up,
     View,
     optional_output,
@@ -37,6 +41,7 @@ if TYPE_CHECKING:
     from prt_bake.geometry.camera import Camera
     from prt_bake.preview.state import Preview
     from prt_bake.shading.sun_shading import SunTreatment
+    from prt_bake.shading.tone_map import ToneMap as ToneMapName
 
 DEFAULT_SIZE = Size(960, 720)
 _WITHOUT_DISPLAY = "there is no display for the window; --screenshot F.png writes the picture without one"
@@ -50,7 +55,7 @@ def view(
             "--light",
             metavar="LIGHT",
             help="Lat-long sky, lights file (.toml) or sun:x,y,z, as for `prtbake shade`; by default the shipped sky. "
-            "Can be repeated; the window switches between the lights. Files are reloaded when they change.",
+            "Can be repeated: the window switches between the lights and their sum. Changed files are reloaded.",
             show_default=False,
         ),
     ] = None,
@@ -77,6 +82,8 @@ def view(
     fov: Fov = USUAL_FOV,
     rotate: Rotate = 0.0,
     exposure: Exposure = 0.0,
+    tone_map: ToneMap = "none",
+    reflection: Reflection = False,
     up: Up = None,
     mend: Mend = False,
     suns: Suns = "split",
@@ -89,7 +96,9 @@ def view(
     if screenshot is None and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         raise QueryError(f"view: {_WITHOUT_DISPLAY}")
     check_outputs({"--screenshot": screenshot}, {"ASSET": asset, "--light": light, "--compare": compare})
-    options = _Options(light, up, rotate, exposure, mend, suns, compare, size, side, eye, look_at, fov)
+    options = _Options(
+        light, up, rotate, exposure, tone_map, reflection, mend, suns, compare, size, side, eye, look_at, fov
+    )
     from formats.asset import read_asset
 
     with ThreadPoolExecutor(1) as executor:
@@ -107,7 +116,7 @@ def view(
         plotter.show(auto_close=False, interactive=False)
         opened = _open(reading.result(), options, off_screen)
     print(f"{asset}: error of the coefficients {opened.preview.asset.error}")
-    for remark in _remarks(opened.preview):
+    for remark in _remarks(opened.preview, light or [], opened.start.eye if off_screen else None):
         say(f"{asset}: {remark}")
     _show(window, plotter, opened, asset.name, screenshot, compare)
 
@@ -119,6 +128,8 @@ class _Options(NamedTuple):
     up: str | None
     rotate: float
     exposure: float
+    tone_map: "ToneMapName"
+    reflection: bool
     mend: bool
     suns: "SunTreatment"
     compare: Path | None
@@ -147,12 +158,23 @@ def _open(baked: "Asset", options: _Options, refined: bool) -> _Opened:
 
     light = options.light
     if light is None:
-        from prt_bake.preview.polydata import shipped_sky
+        from prt_bake.shipped.examples import example
 
-        light = [shipped_sky()] if baked.quantity == "transfer" else []
+        light = [str(example("sky.hdr"))] if baked.quantity == "transfer" else []
     axis = options.up or baked.up
     sources = [LightSource(text, axis, baked.degree, options.mend, say, baked.mesh) for text in light]
-    preview = Preview(baked, sources, up=axis, rotation=options.rotate, exposure=options.exposure, suns=options.suns)
+    if len(light) > 1 and not refined:  # a screenshot shows the first one
+        sources.append(LightSource(light, axis, baked.degree, options.mend, lambda _: None, baked.mesh))
+    preview = Preview(
+        baked,
+        sources,
+        up=axis,
+        rotation=options.rotate,
+        exposure=options.exposure,
+        suns=options.suns,
+        reflecting=options.reflection,
+        tone_map=options.tone_map,
+    )
     reference = None if options.compare is None else read_image(options.compare)
     shape = options.size or (DEFAULT_SIZE if reference is None else Size(reference.shape[1], reference.shape[0]))
     start = camera_for(baked.mesh, shape, axis, options.side, options.eye, options.look_at, options.fov, False, None)
@@ -186,10 +208,15 @@ def _show(window: Any, plotter: Any, opened: _Opened, name: str, screenshot: Pat
     plotter.close()
 
 
-def _remarks(preview: "Preview") -> list[str]:
-    """Return what the asset cannot show."""
+def _remarks(preview: "Preview", lights: list[str], screenshot_eye: Any) -> Iterator[str]:
+    """Yield what the asset cannot show; `screenshot_eye` is None in a window, whose eye moves."""
+    from prt_bake.preview import reasons
+
     asset = preview.asset
-    remarks = [item["reason"] for item in asset.left_out if item["item"] in ("other lights", "other views")]
+    for light in lights or [""]:
+        yield from fixed_light(asset, [light] if light else [], preview.rotation)
+    yield from fixed_view(asset, screenshot_eye)
     if not asset.complete:
-        remarks.append("is a partial bake; vertices not yet baked are black")
-    return remarks
+        yield "is a partial bake; vertices not yet baked are black"
+    if preview.reflecting and (reason := reasons.of_reflection(preview)):
+        yield reason

@@ -4,5 +4,6 @@ May import: every room but `trainer.report`, `paper`, `preview`, `shipped` and `
 """
 
 from prt_bake.inspection.files import describe, find_faults, find_remarks, kind_of
+from prt_bake.inspection.overview import overview
 
-__all__ = ["describe", "find_faults", "find_remarks", "kind_of"]
+__all__ = ["describe", "find_faults", "find_remarks", "kind_of", "overview"]

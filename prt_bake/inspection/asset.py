@@ -19,6 +19,8 @@ def describe(path: Path) -> dict[str, Any]:
     return {
         "error of the coefficients": str(asset.error),
         "errors": asset.error.as_json(),
+        "quantity": asset.quantity,
+        "bounds": asset.mesh.bounds.tolist(),
         "vertices": len(asset.mesh.positions),
         "vertices baked": int(np.count_nonzero(asset.valid)),
         "faces": len(asset.mesh.faces),

@@ -1,8 +1,9 @@
-"""Describes and checks a file of any kind: mesh, sky, scene, model, importance module, asset or samples.
+"""Describes and checks a file of any kind: mesh, sky, scene, lights, model, importance module, asset or samples.
 
 The module of each kind has `describe(path)` and `find_faults(path)`.
 """
 
+import tomllib
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -18,20 +19,27 @@ SUFFIXES = {
     "model": (".pt", ".safetensors"),
     "asset": (".h5", ".hdf5"),
 }
+CHECKPOINT = ".train.pt"
+"""How the name of a training's checkpoint ends."""
 
 
 def kind_of(path: str | Path) -> str:
-    """Return "mesh", "sky", "scene", "model", "importance", "asset" or "samples".
+    """Return "mesh", "sky", "scene", "lights", "model", "importance", "asset" or "samples".
 
-    The suffix decides. A name that ends in .importance.pt is an importance module; an HDF5 file names its own kind.
+    The suffix decides. A name that ends in .importance.pt is an importance module; an HDF5 file names its own kind, and
+    the tables of a .toml file do.
 
     Raises:
         StorageError: there is no such file.
-        FormatError: no kind has this suffix.
+        FormatError: no kind has this suffix, or the file is the checkpoint of a training.
     """
     suffix = existing(path).suffix.lower()
+    if Path(path).name.lower().endswith(CHECKPOINT):
+        raise FormatError(f"{path}: is the checkpoint of a training, for `prtbake train --resume`; give its model")
     if suffix in SUFFIXES["model"] and Path(path).stem.endswith(".importance"):
         return "importance"
+    if suffix == ".toml":
+        return kind_of_toml(path) or "scene"
     for kind, suffixes in SUFFIXES.items():
         if suffix in suffixes:
             return "samples" if kind == "asset" and _is_samples(path) else kind
@@ -46,7 +54,8 @@ def describe(path: str | Path) -> dict[str, Any]:
         PrtbakeError: the file cannot be read as the kind that its suffix names.
     """
     kind = kind_of(path)
-    return {"kind": kind, "bytes": Path(path).stat().st_size, **_module(kind).describe(Path(path))}
+    named = "picture" if kind == "sky" else kind  # not every picture is a sky
+    return {"kind": named, "bytes": Path(path).stat().st_size, **_module(kind).describe(Path(path))}
 
 
 def find_faults(path: str | Path) -> list[str]:
@@ -75,6 +84,15 @@ def find_remarks(path: str | Path) -> list[str]:
         return []
     remarks: list[str] = _module(kind).find_remarks(path)
     return remarks
+
+
+def kind_of_toml(path: str | Path) -> str | None:
+    """Return "scene" or "lights" by the tables of a file; None if they are those of neither, or it is not TOML."""
+    try:
+        tables = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return "scene" if "object" in tables else "lights" if tables.keys() & {"sky", "directional", "sphere"} else None
 
 
 def _is_samples(path: str | Path) -> bool:

@@ -3,8 +3,12 @@
 from pathlib import Path
 from typing import Any
 
-from formats.mesh import check_mesh, open_edges, read_mesh, signed_volume, texture_remark
+from formats.mesh import Mesh, check_mesh, open_edges, read_mesh, signed_volume, texture_remark
+from formats.scene.units import NO_UNIT
 from prt_bake.geometry.shells import ambiguity
+
+_USUAL_SIZE = 1.0
+"""Metres. Larger glTF objects were probably not modelled in metres."""
 
 
 def describe(path: Path) -> dict[str, Any]:
@@ -15,6 +19,7 @@ def describe(path: Path) -> dict[str, Any]:
         "faces": len(mesh.faces),
         "faces without area": mesh.dropped_faces,
         "vertices merged": 0 if mesh.source_vertex is None else len(mesh.source_vertex) - len(mesh.positions),
+        "unit": "m" if _is_gltf(path) else NO_UNIT,
         "bounds": mesh.bounds.tolist(),
         "diagonal": mesh.diagonal,
         "open edges": open_edges(mesh),
@@ -33,12 +38,30 @@ def find_faults(path: Path) -> list[str]:
 
 
 def find_remarks(path: str | Path) -> list[str]:
-    """Return remarks on texture coordinates outside the image, and on flat shading."""
+    """Return remarks on texture coordinates outside the image, large glTF objects, and flat shading."""
     mesh = read_mesh(path)
     remarks = [texture_remark(mesh)] if texture_remark(mesh) else []
+    if _is_gltf(path) and _longest_side(mesh) > _USUAL_SIZE:
+        remarks.append(
+            f"it is {_longest_side(mesh):.4g} m long, since glTF is in metres; jade, wax or marble of that size looks "
+            "opaque; `prtbake init` with --size, such as --size 10cm, makes it as small as it is meant to be"
+        )
     if mesh.flat_shaded:
         remarks.append(
             "it is flat shaded, one normal per face, so that reflections show its faces; export it with smooth "
             "normals, or use --normals vertex"
         )
     return [f"{path}: {remark}" for remark in remarks]
+
+
+def needs_a_size(path: Path) -> bool:
+    """Return whether a user should say how long the object is: the format has no unit, or it is very large."""
+    return not _is_gltf(path) or _longest_side(read_mesh(path)) > _USUAL_SIZE
+
+
+def _is_gltf(path: str | Path) -> bool:
+    return Path(path).suffix.lower() in (".glb", ".gltf")
+
+
+def _longest_side(mesh: Mesh) -> float:
+    return float((mesh.bounds[1] - mesh.bounds[0]).max())

@@ -223,5 +223,8 @@ def _energy_losses(parts: tuple[Part, ...]) -> list[str]:
         if part.energy_compensation:
             sentences.append(f"{model} would lose {loss}; energy_compensation restores it")
         else:
-            sentences.append(f"{model} loses {loss}, as in other renderers; energy_compensation = true restores it")
+            sentences.append(
+                f"{model} loses {loss}, as in other renderers; where only the look matters, energy_compensation = true "
+                "restores it"
+            )
     return sentences

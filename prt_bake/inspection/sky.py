@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from formats.errors import warn
+from formats.errors import ImageError, warn
 from formats.image.gamut import convert, matrix_to_rec709
-from formats.image.rows import open_linear
+from formats.image.rows import ImageRows, open_linear
 from prt_bake.lights.skies.pixels import checked
-from prt_bake.lights.skies.shape import refuse_cube_maps
+from prt_bake.lights.skies.shape import refuse_cube_maps, report_stretching
 
 
 def describe(path: Path) -> dict[str, Any]:
@@ -28,6 +28,7 @@ def describe(path: Path) -> dict[str, Any]:
     mean = total / np.maximum(count, 1)
     layers = {"colours of": opened.layer, "other layers": list(opened.other_layers)} if opened.layer else {}
     return {
+        "can be": _uses(opened),
         **layers,
         "width": opened.width,
         "height": opened.height,
@@ -36,6 +37,19 @@ def describe(path: Path) -> dict[str, Any]:
         "values not finite": infinite,
         "values negative": negative,
     }
+
+
+def _uses(opened: ImageRows) -> str:
+    others = "a texture of a scene, a picture to compare"
+    remarks: list[str] = []
+    try:
+        refuse_cube_maps(opened)
+        report_stretching(opened, remarks.append)
+    except ImageError:
+        return f"{others}; as a light this cube map must be converted to a lat-long picture"
+    if remarks:
+        return f"{others}; a sky is twice as wide as high"
+    return f"a sky (--light), {others}"
 
 
 def find_faults(path: Path) -> list[str]:

@@ -35,7 +35,7 @@ class Translucency:
 
     >>> light = translucency(np.array([2.19, 2.62, 3.0]), np.array([0.0021, 0.0041, 0.0071]), 0.0, 140.0)
     >>> light.transport.round(2).tolist(), light.diffuse.round(1).tolist(), light.crossing.round(3).tolist()
-    ([0.46, 0.38, 0.33], [8.5, 5.6, 4.0], [0.033, 0.018, 0.008])
+    ([0.46, 0.38, 0.33], [8.5, 5.6, 4.0], [0.033, 0.017, 0.007])
     """
 
     size: float
@@ -48,6 +48,11 @@ class Translucency:
     def opaque(self) -> bool:
         """Whether no channel lets enough light through a tenth of the object to be seen."""
         return bool(self.crossing.max() < _OPAQUE)
+
+    @property
+    def percent_crossing(self) -> str:
+        """The light that crosses a tenth of the object as text, of the channels that are not dark to two digits."""
+        return f"{channels(np.where(self.crossing < 5e-5, 0.0, 100.0 * self.crossing))} %"
 
     @property
     def clear(self) -> bool:
@@ -87,7 +92,7 @@ def describe(light: Translucency, millimetres: float | None) -> dict[str, Any]:
         "transport mean free path": f"{channels(light.transport * scale)} {unit}",
         "diffuse mean free path": f"{channels(light.diffuse * scale)} {unit}",
         "longest side in transport mean free paths": channels(light.size / light.transport),
-        "diffuse light through a tenth of the object": f"{channels(100.0 * light.crossing)} %",
+        "diffuse light through a tenth of the object": light.percent_crossing,
     }
 
 
@@ -111,6 +116,15 @@ def remark(light: Translucency, millimetres: float | None) -> str:
             f"asset holds; {GUIDE}: raise sigma_t (of a material, density), or check the unit of length"
         )
     return ""
+
+
+def translucent_size(light: Translucency) -> str:
+    """Return a longest side that looks translucent, for an object in millimetres: 20 transport mean free paths.
+
+    >>> translucent_size(translucency(np.full(3, 2.0), np.zeros(3), 0.0, 9000.0))
+    '1cm'
+    """
+    return f"{float(f'{2.0 * light.transport.max():.1g}'):g}cm"
 
 
 def channels(values: Array) -> str:

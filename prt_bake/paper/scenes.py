@@ -130,6 +130,17 @@ SKIES = {"outdoor": "skies/outdoor.hdr", "indoor": "skies/indoor.hdr"}
 """Paths under `scenes/`; `scenes/skies/LICENSES.md` names their authors."""
 
 
+def scenes_folder(given: Path | None) -> Path:
+    """Return the folder of the paper's scenes, by default the repository's; raises QueryError if it is not there."""
+    folder = given or Path(__file__).parents[2] / "scenes"
+    if not folder.is_dir():
+        raise QueryError(
+            f"{folder}: there is no such folder; the paper's scenes are in the folder scenes of the repository, not in "
+            "the installed package: give that folder by --scenes"
+        )
+    return folder
+
+
 def select_scenes(names: list[str]) -> tuple[PaperScene, ...]:
     """Return the named scenes, by default all, in the paper's order; raises QueryError for unknown names."""
     unknown = [name for name in names if name not in NAMES]

@@ -16,9 +16,8 @@ from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from formats.mesh import Mesh
 from prt_bake.preview import shaders
-from prt_bake.preview.state import Interface
-
-_LEAST_GAIN = -126.0
+from prt_bake.preview.mirrored import ALBEDOS, Interface, directional_albedo
+from prt_bake.shading.tone_map import ToneMap
 
 
 class Shaded:
@@ -35,11 +34,15 @@ class Shaded:
         self._mapper.ScalarVisibilityOff()
         self.actor = pv.Actor(mapper=self._mapper)
         self._uniforms: Any = self.actor.GetShaderProperty().GetFragmentCustomUniforms()
+        self._tone_map: ToneMap = "none"
         self.set_exposure(0.0)
 
-    def set_exposure(self, exposure: float) -> None:
-        """Set the exposure in EV."""
-        self._uniforms.SetUniformf("gain", 2.0 ** max(exposure, _LEAST_GAIN))
+    def set_exposure(self, exposure: float, tone_map: ToneMap = "none") -> None:
+        """Set the exposure in EV and the tone map."""
+        self._uniforms.SetUniformf("gain", 2.0**exposure)
+        if tone_map != self._tone_map:
+            self._tone_map = tone_map
+            self._write_shader()
 
     def set_picture(self, picture: NDArray[np.float32]) -> None:
         """Set the texture to a linear picture [H,W,3], row 0 on top."""
@@ -48,6 +51,10 @@ class Shaded:
         texture.repeat = True
         self.actor.texture = texture
         self._uniforms.SetUniformf("halfRow", 0.5 / len(picture))
+
+    def _write_shader(self) -> None:
+        """Write the shaders anew."""
+        raise NotImplementedError
 
     def _set_vector(self, name: str, vector: NDArray[np.float64]) -> None:
         self._uniforms.SetUniform3f(name, vector.tolist())
@@ -77,8 +84,13 @@ class _FullScreen(Shaded):
         mesh.active_texture_coordinates = 0.5 + 0.5 * corners[:, :2]
         super().__init__(mesh)
         self.actor.use_bounds = False
+        self._declarations, self._code = declarations, code
+        self._write_shader()
+
+    def _write_shader(self) -> None:
+        self.actor.clear_shader_replacements()
         self.actor.add_shader_replacement("vertex", "//VTK::PositionVC::Impl", shaders.FULL_SCREEN)
-        self._replace_fragment_shader(shaders.ENCODE + declarations, code)
+        self._replace_fragment_shader(shaders.encode(self._tone_map) + self._declarations, self._code)
 
 
 class Sky(_FullScreen):
@@ -134,7 +146,7 @@ class Object(Shaded):
         for name in ("colour", "shadingNormal"):
             points = vtkDataObject.FIELD_ASSOCIATION_POINTS
             self._mapper.MapDataArrayToVertexAttribute(f"{name}MC", name, points, -1)
-        self._uniforms.SetUniformf("eta", 1.0 if interface is None else interface.eta)
+        self._interface = interface
         self._reflects = False
         self._write_shader()
 
@@ -148,6 +160,8 @@ class Object(Shaded):
             self.set_picture(picture)
         if self._reflects is not (picture is not None):
             self._reflects = picture is not None
+            if self._interface is not None:
+                self._uniforms.SetUniform1fv("albedo", ALBEDOS, directional_albedo(self._interface).tolist())
             self._write_shader()
 
     def set_camera(self, eye: NDArray[np.float64], to_sky: NDArray[np.float64]) -> None:
@@ -163,7 +177,7 @@ class Object(Shaded):
         """Write the shaders, without the code of the reflection if there is none."""
         self.actor.clear_shader_replacements()
         self._extend_vertex_shader(shaders.OBJECT_VERTEX_DECLARATIONS, shaders.OBJECT_VERTEX)
-        declarations = shaders.OBJECT_DECLARATIONS + shaders.ENCODE
+        declarations = shaders.OBJECT_DECLARATIONS + shaders.encode(self._tone_map)
         if self._reflects:
             declarations += shaders.LOOK_UP + shaders.REFLECTANCE
         reflection = shaders.OBJECT_REFLECTION if self._reflects else ""

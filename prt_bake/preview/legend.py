@@ -35,6 +35,7 @@ def keys(preview: Preview, reference: str | None) -> list[Key]:
         rows.append(("b", "sky behind the object"))
     if preview.has_suns:
         rows.append(("u", "suns split off or lobes, or harmonics alone"))
+    rows.append(("t", "AgX tone map, as in Blender"))
     rows += [("e", "standard error"), ("v", "valid vertices"), ("c", "coefficients"), (", .", "previous, next one")]
     if reference is not None:
         rows.append(("space", f"flip to {reference}"))
@@ -67,7 +68,7 @@ def status(preview: Preview, name: str, eye: ArrayLike, reference: str | None = 
         l, m = preview.degree_and_order
         return _joined(name, f"coefficient l = {l}, m = {m}")
     if preview.mode is Mode.ERROR:
-        return _joined(name, "standard error", light, rotated)
+        return _joined(name, "standard error relative to the radiance", light, rotated)
     suns = preview.suns_shown(eye)
     return _joined(
         name,
@@ -75,6 +76,7 @@ def status(preview: Preview, name: str, eye: ArrayLike, reference: str | None = 
         rotated,
         exposure,
         "" if suns is None else _SUNS[suns],
+        "AgX" if preview.shown_tone_map == "agx" else "",
         "with reflection" if preview.reflected_sky is not None else "",
         "loading kernels" if preview.loading else "",
     )

@@ -1,7 +1,7 @@
 """The lights of a preview, which are reloaded when their files change."""
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -44,17 +44,17 @@ class ShownLight:
 
 
 class LightSource:
-    """A light of the preview: a sky, a lights file, a sun or a sphere light.
+    """A light of the preview: a sky, a lights file, a sun or a sphere light, or several together.
 
     Attributes:
-        text: the light as `--light` takes it, or "" for a lighting.
+        text: the light as `--light` takes it, or "" for several and for a lighting.
         name: the name in the window.
         shown: the light as last read; stays if its file cannot be read any more.
     """
 
     def __init__(
         self,
-        light: str | Lighting,
+        light: str | Sequence[str] | Lighting,
         up: str,
         degree: int,
         mend: bool = False,
@@ -63,10 +63,11 @@ class LightSource:
     ) -> None:
         """Read the light, unless it is a lighting; arguments and errors are those of `read_lighting`."""
         self.text = light if isinstance(light, str) else ""
-        self._lighting = None if isinstance(light, str) else light
+        self._lighting = light if isinstance(light, Lighting) else None
+        self._texts = [light] if isinstance(light, str) else [] if isinstance(light, Lighting) else list(light)
         self._up, self._degree = up, degree
         self._mend, self._say, self._mesh = mend, say, mesh
-        self.name = self.text if self.text.startswith(_NOT_FILES) else Path(self.text).name
+        self.name = " + ".join(text if text.startswith(_NOT_FILES) else Path(text).name for text in self._texts)
         self._stamp = self._stamps()
         self.shown = self._read()
 
@@ -90,22 +91,23 @@ class LightSource:
     def _read(self) -> ShownLight:
         lighting = self._lighting
         if lighting is None:
-            lighting = read_lighting([self.text], self._up, mend=self._mend, say=self._say, mesh=self._mesh)
+            lighting = read_lighting(self._texts, self._up, mend=self._mend, say=self._say, mesh=self._mesh)
         return ShownLight(lighting, project_lighting(lighting, self._degree), _picture(lighting, self._up))
 
     def _stamps(self) -> Stamp:
         return tuple(_stamp(path) for path in self._files())
 
     def _files(self) -> Iterator[Path]:
-        if not self.text or self.text.startswith(_NOT_FILES):
-            return
-        yield Path(self.text)
-        if self.text.lower().endswith(".toml"):
-            try:
-                lights = read_lights(self.text)
-            except PrtbakeError:
-                return  # reported when it is read
-            yield from (light.path for light in lights if isinstance(light, SkyLight))
+        for text in self._texts:
+            if text.startswith(_NOT_FILES):
+                continue
+            yield Path(text)
+            if text.lower().endswith(".toml"):
+                try:
+                    lights = read_lights(text)
+                except PrtbakeError:
+                    continue  # reported when it is read
+                yield from (light.path for light in lights if isinstance(light, SkyLight))
 
 
 def _stamp(path: Path) -> tuple[str, int, int]:

@@ -8,8 +8,8 @@ import ipywidgets
 import numpy as np
 from PIL import Image
 
-from prt_bake.preview.state import MOST_EXPOSURE
 from prt_bake.preview.view import View
+from prt_bake.preview.window import SLIDER_EXPOSURE
 
 _STEEPEST = 85.0
 """Of the eye, in degrees above or below the object."""
@@ -21,18 +21,20 @@ def controls(view: View) -> Any:
     away = start.eye - start.target
     height = math.degrees(math.asin(float(away @ start.up / np.linalg.norm(away))))
     light = _slider("light", preview.rotation, 180.0, 5.0)
-    exposure = _slider("exposure", preview.exposure, MOST_EXPOSURE, 0.25)
+    exposure = _slider("exposure", preview.exposure, SLIDER_EXPOSURE, 0.25)
     around, above = _slider("around", 0.0, 180.0, 5.0), _slider("above", height, _STEEPEST, 5.0)
     reflection = ipywidgets.Checkbox(preview.reflecting, description="reflection")
+    agx = ipywidgets.Checkbox(preview.tone_map == "agx", description="AgX")
     picture = ipywidgets.Image(format="png")
     sliders = [light, exposure, around, above] if preview.relightable else [exposure, around, above]
-    shown = [*sliders, reflection] if preview.interface is not None and preview.lights else sliders
+    shown = [*sliders, agx, reflection] if preview.interface is not None and preview.lights else [*sliders, agx]
 
     def draw(_: Any = None) -> None:
         preview.rotate_to(light.value)
         preview.set_exposure(exposure.value)
         if reflection.value != preview.reflecting:
             preview.toggle_reflection()
+        preview.tone_map = "agx" if agx.value else "none"
         view.reset_camera()
         view.plotter.camera.Azimuth(around.value)
         view.plotter.camera.Elevation(above.value - height)

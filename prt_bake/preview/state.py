@@ -3,7 +3,6 @@
 import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum
 from threading import Thread
 from typing import NamedTuple
@@ -18,14 +17,15 @@ from prt_bake.lights import environment
 from prt_bake.mathematics import sh
 from prt_bake.preview import colours
 from prt_bake.preview.lights import LightSource, ShownLight
-from prt_bake.preview.mirrored import prefiltered_sky
+from prt_bake.preview.mirrored import interface_of, prefiltered_sky
 from prt_bake.preview.radiance import VertexRadiance
 from prt_bake.preview.refinement import Refiner
 from prt_bake.shading.asset_light import AssetLight
 from prt_bake.shading.sun_shading import SunTreatment
+from prt_bake.shading.tone_map import ToneMap
 
-MOST_EXPOSURE = 10.0
-_SAME_INDEX = 1e-9
+MOST_EXPOSURE = 64.0
+"""EV, as far as `--exposure` goes."""
 _SCALE_QUANTILE = 0.98
 """Quantile of the values at which the scale of false colours ends."""
 
@@ -47,14 +47,6 @@ class Scale(NamedTuple):
     label: str
 
 
-@dataclass(frozen=True, eq=False)
-class Interface:
-    """The reflecting surface: relative index of refraction `eta`, GGX roughness `alpha`."""
-
-    eta: float
-    alpha: float
-
-
 class Preview:
     """An asset, its lights, and the options of the view.
 
@@ -64,6 +56,7 @@ class Preview:
         current: index of the light in use.
         rotation: of the light in degrees, counter-clockwise from above, within ±180.
         exposure: EV.
+        tone_map: applied after the exposure, as by `prtbake shade --tone-map`.
         mode: the quantity shown.
         interface: the reflecting surface, or None if the index is 1, which reflects nothing.
         reflecting: whether the reflection is shown.
@@ -83,6 +76,8 @@ class Preview:
         rotation: float = 0.0,
         exposure: float = 0.0,
         suns: SunTreatment = "split",
+        reflecting: bool = False,
+        tone_map: ToneMap = "none",
     ) -> None:
         """Raises QueryError if no vertex was baked, or if there is no light for an asset that needs one."""
         if not asset.valid.any():
@@ -94,8 +89,9 @@ class Preview:
         self.current = 0
         self.rotation = self.exposure = 0.0
         self.mode = Mode.RADIANCE
-        self.interface = _interface(asset)
-        self.reflecting, self.background, self.harmonic = False, True, 0
+        self.interface = interface_of(asset)
+        self.reflecting, self.background, self.harmonic = reflecting, True, 0
+        self.tone_map = tone_map
         self.message = ""
         self.changes = 0
         self.suns = suns
@@ -182,7 +178,7 @@ class Preview:
         """The scale of the false colours drawn last, or None for radiance."""
         end = self._scale_end or 0.0
         if self.mode is Mode.ERROR:
-            return Scale(0.0, end, "standard error relative to the object's radiance")
+            return Scale(0.0, end, "standard error")
         if self.mode is Mode.COEFFICIENT:
             l, m = self.degree_and_order
             return Scale(-end, end, f"a({l}, {m})")
@@ -198,6 +194,11 @@ class Preview:
     def shown_exposure(self) -> float:
         """The exposure in EV; 0 for false colours."""
         return self.exposure if self.mode is Mode.RADIANCE else 0.0
+
+    @property
+    def shown_tone_map(self) -> ToneMap:
+        """The tone map; "none" for false colours."""
+        return self.tone_map if self.mode is Mode.RADIANCE else "none"
 
     def step_light(self, step: int = 1) -> None:
         """Switch to the next light, or by another number of steps."""
@@ -225,7 +226,7 @@ class Preview:
         self._relight()
 
     def set_exposure(self, exposure: float) -> None:
-        """Set the exposure, clamped to ±10 EV."""
+        """Set the exposure, clamped to ±64 EV."""
         self.exposure = min(max(exposure, -MOST_EXPOSURE), MOST_EXPOSURE)
         self.changes += 1
 
@@ -241,11 +242,8 @@ class Preview:
         self._relight()
 
     def toggle_reflection(self) -> None:
-        """Toggle the surface reflection; sets `message` if the object does not reflect."""
-        if self.interface is None:
-            self.message = "no reflection: the object's index of refraction is 1"
-        else:
-            self.reflecting = not self.reflecting
+        """Toggle the surface reflection."""
+        self.reflecting = not self.reflecting
         self.changes += 1
 
     def toggle_background(self) -> None:
@@ -253,10 +251,13 @@ class Preview:
         self.background = not self.background
         self.changes += 1
 
+    def toggle_tone_map(self) -> None:
+        """Toggle between AgX and none."""
+        self.tone_map = "none" if self.tone_map == "agx" else "agx"
+        self.changes += 1
+
     def toggle_suns(self) -> None:
-        """Toggle between suns in the harmonics and the requested treatment; sets `message` if there are no suns."""
-        if not self.has_suns:
-            self.message = "no suns: this light has no small strong sources"
+        """Toggle between suns in the harmonics and the requested treatment."""
         self.suns = self._treatment if self.suns == "plain" else "plain"
         self._relight()
 
@@ -383,9 +384,3 @@ class Preview:
         self._scale_end = None
         self._refiner.reset()
         self.changes += 1
-
-
-def _interface(asset: Asset) -> Interface | None:
-    if abs(asset.eta - 1.0) < _SAME_INDEX:
-        return None
-    return Interface(asset.eta, asset.roughness or 0.0)

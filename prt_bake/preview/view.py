@@ -158,8 +158,8 @@ class View:
         sky = preview.sky
         self._object.actor.visibility = not self.showing_reference
         self._sky.actor.visibility = sky is not None and not self.showing_reference
-        self._object.set_exposure(preview.shown_exposure)
-        self._sky.set_exposure(preview.exposure)
+        self._object.set_exposure(preview.shown_exposure, preview.shown_tone_map)
+        self._sky.set_exposure(preview.exposure, preview.tone_map)
         if sky is not None and self._is_new("sky", sky):
             self._sky.set_picture(sky)
         reflected = preview.reflected_sky
@@ -167,7 +167,7 @@ class View:
             self._object.set_reflection(reflected)
         if reference is not None:
             reference.actor.visibility = self.showing_reference
-            reference.set_exposure(preview.exposure)
+            reference.set_exposure(preview.exposure, preview.tone_map)
             reference.fit(size[0], size[1])
 
     def _update_cameras(self, size: tuple[int, ...]) -> None:

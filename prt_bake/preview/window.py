@@ -11,10 +11,10 @@ from vtkmodules.util.vtkConstants import VTK_OBJECT
 
 from formats.errors import PrtbakeError
 from formats.interrupts import interrupt_flag
-from prt_bake.preview import legend
+from prt_bake.preview import legend, reasons
 from prt_bake.preview.overlay import SLIDERS, Overlay
-from prt_bake.preview.plotter import on_display, open_plotter
-from prt_bake.preview.state import MOST_EXPOSURE, Mode, Preview, Scale
+from prt_bake.preview.plotter import on_display, open_plotter, watching_for_destruction
+from prt_bake.preview.state import Mode, Preview, Scale
 from prt_bake.preview.view import View, write_picture
 
 __all__ = ["View", "Window", "on_display", "open_plotter", "write_picture"]
@@ -22,6 +22,8 @@ __all__ = ["View", "Window", "on_display", "open_plotter", "write_picture"]
 _calldata: Any = calldata_type
 TICK = 100
 """Milliseconds between two events of the timer."""
+SLIDER_EXPOSURE = 4.0
+"""EV at the ends of the slider; keys go on."""
 _ROTATION_STEP, _EXPOSURE_STEP = 5.0, 0.5
 """Degrees and EV per key press."""
 _MESSAGE_SECONDS = 6.0
@@ -30,8 +32,10 @@ _STILL = 0.2
 """Seconds after the last movement until edges are antialiased and suns are refined."""
 _SLICE, _PAUSE = 0.02, 1
 """Seconds of a slice of refinement, and milliseconds for the user's events until the next one."""
-_SLIDER_HEIGHT, _KNOB, _TUBE = 0.07, (0.015, 0.03), 0.006
-"""Height of the sliders, length and width of a knob, and width of a tube, relative to the window."""
+_SLIDER_HEIGHT, _SLIDER_TOP, _KNOB, _TUBE = 0.07, 0.1, (0.015, 0.03), 0.006
+"""Height of the sliders and of their upper ends, length and width of a knob, and width of a tube, relative to the
+window."""
+_TUBE_GREY = 0.4, 0.4, 0.4
 
 
 class Window:
@@ -54,18 +58,17 @@ class Window:
         self._message_time = -math.inf
         self._scale: Scale | None = None
         self._interrupted: Callable[[], bool] = lambda: False
+        self._destroyed: Callable[[], bool] = lambda: False
         self.interrupted = False
         self._connect()
         self.rotation = self._slider((-180.0, 180.0), 0, self._preview.rotate_to)
-        self.exposure = self._slider((-MOST_EXPOSURE, MOST_EXPOSURE), 1, self._preview.set_exposure)
-        if not self._preview.relightable:
-            self.rotation.Off()
+        self.exposure = self._slider((-SLIDER_EXPOSURE, SLIDER_EXPOSURE), 1, self._preview.set_exposure)
         self._update_texts()
 
     def run(self) -> None:
         """Show the window until the user closes it or presses Ctrl-C, which sets `interrupted`."""
         # A KeyboardInterrupt inside VTK's event loop would end the process with VTK's own message.
-        with interrupt_flag() as self._interrupted:
+        with interrupt_flag() as self._interrupted, watching_for_destruction(self.plotter) as self._destroyed:
             self.plotter.iren.initialize()
             self.render()
             self._preview.load_in_background()
@@ -79,8 +82,8 @@ class Window:
         self._update_message()
 
     def tick(self) -> None:
-        """Handle the timer: close after Ctrl-C, reload lights, remove old messages, refine a resting picture."""
-        if self._interrupted():
+        """Handle the timer: end after Ctrl-C or without a window, reload lights, drop old messages, refine."""
+        if self._interrupted() or self._destroyed():
             self._quit()
             return
         now = time.monotonic()
@@ -136,30 +139,42 @@ class Window:
 
     def _actions(self) -> list[tuple[str, Callable[[], None]]]:
         preview = self._preview
-        actions: list[tuple[str, Callable[[], None]]] = [
+        return [
             ("h question", self._toggle_legend),
             ("0 Home", self.view.reset_camera),
             ("Up", lambda: preview.set_exposure(preview.exposure + _EXPOSURE_STEP)),
             ("Down", lambda: preview.set_exposure(preview.exposure - _EXPOSURE_STEP)),
-            ("r", preview.toggle_reflection),
-            ("b", preview.toggle_background),
-            ("u", preview.toggle_suns),
+            ("Left", self._unless(reasons.of_rotation, lambda: preview.rotate_to(preview.rotation - _ROTATION_STEP))),
+            ("Right", self._unless(reasons.of_rotation, lambda: preview.rotate_to(preview.rotation + _ROTATION_STEP))),
+            ("n", self._unless(reasons.of_other_lights, preview.step_light)),
+            ("N", self._unless(reasons.of_other_lights, lambda: preview.step_light(-1))),
+            ("r", self._unless(reasons.of_reflection, preview.toggle_reflection)),
+            ("b", self._unless(reasons.of_background, preview.toggle_background)),
+            ("u", self._unless(reasons.of_suns, preview.toggle_suns)),
+            ("t", self._unless(reasons.of_tone_map, preview.toggle_tone_map)),
             ("e", lambda: preview.show(Mode.ERROR)),
             ("v", lambda: preview.show(Mode.VALID)),
             ("c", lambda: preview.show(Mode.COEFFICIENT)),
             ("period greater", lambda: preview.step_harmonic(1)),
             ("comma less", lambda: preview.step_harmonic(-1)),
-            ("space", self.view.toggle_reference),
+            ("space", self._flip),
             ("s", self._save_numbered),
             ("q Escape", self._quit),
         ]
-        if preview.relightable:
-            actions.append(("Left", lambda: preview.rotate_to(preview.rotation - _ROTATION_STEP)))
-            actions.append(("Right", lambda: preview.rotate_to(preview.rotation + _ROTATION_STEP)))
-        if preview.lights:
-            actions.append(("n", preview.step_light))
-            actions.append(("N", lambda: preview.step_light(-1)))
-        return actions
+
+    def _unless(self, reason: Callable[[Preview], str], action: Callable[[], None]) -> Callable[[], None]:
+        """Return the action, which leaves a message instead where there is a reason why it would change nothing."""
+
+        def act() -> None:
+            preview = self._preview
+            if self.view.showing_reference:
+                preview.message = "the reference picture is shown: space returns to the object"
+            elif text := reason(preview):
+                preview.message = text
+            else:
+                action()
+
+        return act
 
     def _handler(self, action: Callable[[], None]) -> Callable[[], None]:
         """Return a function that performs an action, shows its error as a message, and draws."""
@@ -185,7 +200,9 @@ class Window:
 
     def _slider(self, span: tuple[float, float], number: int, change: Callable[[float], None]) -> Any:
         def on_change(value: float) -> None:
-            if value != current():
+            if value != min(
+                max(current(), span[0]), span[1]
+            ):  # the knob of an exposure beyond the slider is at its end
                 change(value)
                 self.render()
 
@@ -204,6 +221,7 @@ class Window:
             slider_width=_KNOB[1],
             tube_width=_TUBE,
         )
+        slider.GetRepresentation().GetTubeProperty().SetColor(_TUBE_GREY)  # also seen before an overexposed sky
         slider.GetRepresentation().SetSliderLength(_KNOB[0])
         slider.GetRepresentation().SetEndCapLength(0.0)
         slider.GetRepresentation().ShowSliderLabelOff()  # the text under it shows the value
@@ -213,14 +231,19 @@ class Window:
         if self._saving:
             return
         preview, overlay = self._preview, self.overlay
+        overlay.fit(self.plotter.window_size[0])
         reference = self._reference if self.view.showing_reference else None
         hint = "" if self._legend else "      h: keys"
         overlay.write(overlay.status, legend.status(preview, self._name, self.view.eye, reference) + hint)
         overlay.write(overlay.legend, legend.legend(preview, self._reference) if self._legend else "")
+        covered = overlay.legend_bottom < _SLIDER_TOP  # in a small window
+        self.exposure.SetEnabled(not covered)
+        self.rotation.SetEnabled(preview.relightable and not covered)
         self.rotation.GetRepresentation().SetValue(preview.rotation)
         self.exposure.GetRepresentation().SetValue(preview.exposure)
-        overlay.write(overlay.rotation, f"light {preview.rotation:+.0f}°" if preview.relightable else "")
-        overlay.write(overlay.exposure, f"{preview.exposure:+.1f} EV")
+        rotation = f"light {preview.rotation:+.0f}°" if preview.relightable else ""
+        overlay.write(overlay.rotation, "" if covered else rotation)
+        overlay.write(overlay.exposure, "" if covered else f"{preview.exposure:+.1f} EV")
 
     def _update_message(self) -> None:
         """Update the message and the scale, which are known only after drawing; draw again if they changed."""
@@ -232,6 +255,11 @@ class Window:
             self.overlay.write(self.overlay.message, message)
             self.overlay.show_scale(scale)
             self.plotter.render()
+
+    def _flip(self) -> None:
+        self.view.toggle_reference()
+        if self._reference is None:
+            self._preview.message = "there is no reference picture: --compare gives one"
 
     def _toggle_legend(self) -> None:
         self._legend = not self._legend

@@ -131,6 +131,6 @@ def _refuse_hidden_suns(scene: Scene, lighting: Lighting) -> None:
     smooth = smooth_part(scene)
     if smooth is not None and any(sun.angular_diameter == 0.0 for sun in lighting.suns):
         raise QueryError(
-            f"{scene.path}: behind the smooth interface of '{smooth.name}' walks cannot hit a directional light "
+            f"{scene.path}: behind the smooth interface of '{smooth.name}' paths cannot hit a directional light "
             "without size; give the light an angular diameter (the sun's is 0.53 degrees), or make the interface rough"
         )

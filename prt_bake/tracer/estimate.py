@@ -1,8 +1,9 @@
 """Estimates of the transport function Ŝ and of its harmonic coefficients, with standard errors.
 
 A query is a point x on the surface and a direction ωo to the eye. `estimate_transport` estimates Ŝ(ωi; x, ωo) [1/sr]
-for given directions of incidence, `estimate_coefficients` estimates a_lm = ∫ Ŝ Y_lm dωi from the exits of walks. The
-README defines under "What Ŝ counts" what both include and what they report separately as unscattered.
+for given directions of incidence, `estimate_coefficients` estimates a_lm = ∫ Ŝ Y_lm dωi from the exits of walks.
+Both include every path whose first event at x, seen from the eye, is the transmission into the object. Light that then
+crosses an index-matched or smooth object without scattering is a delta function, reported separately as unscattered.
 """
 
 import math

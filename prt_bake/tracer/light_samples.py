@@ -1,9 +1,9 @@
 """Walks for pictures: light samples from given directions of incidence, and exit directions.
 
-`sample_transport` estimates Ŝ, which leaves out light that crosses the object without a scattering event (README, "What
-Ŝ counts"). Behind an index-matched or smooth boundary that light is a delta function, which connections cannot sample:
-`sample_exits` marks the exits that carry it, and pictures add it under the complete lighting. Through a rough boundary
-it is a function that connections do sample, and no exit is marked.
+`sample_transport` estimates Ŝ, which leaves out light that crosses the object without a scattering event. Behind an
+index-matched or smooth boundary that light is a delta function, which connections cannot sample: `sample_exits` marks
+the exits that carry it, and pictures add it under the complete lighting. Through a rough boundary it is a function that
+connections do sample, and no exit is marked.
 """
 
 from typing import NamedTuple

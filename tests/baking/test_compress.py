@@ -280,7 +280,7 @@ def test_the_command_prints_its_result(tmp_path, prtbake: Run) -> None:
     rows = [line for line in ended.out.splitlines() if line.startswith("  ")]
     assert len(rows) == len(set(rows))
     assert prtbake("check", tmp_path / "a.compact.h5").code == 0
-    assert "compact: added relative RMSE" in prtbake("info", tmp_path / "a.compact.h5").out
+    assert "compact: added relative RMSE" in prtbake("info", tmp_path / "a.compact.h5", "--all").out
     for words, sentence in (
         ((tmp_path / "a.compact.h5",), "is compact already"),
         ((tmp_path / "a.h5", "--error", "2"), "must be a relative RMSE"),

@@ -161,5 +161,5 @@ def test_the_number_of_walks_for_an_error_is_predicted_from_one_pilot(tmp_path: 
     reached = np.sqrt(((asset.coefficients.reshape(truth.mean.shape) - truth.mean) ** 2).sum() / (truth.mean**2).sum())
     assert 0.035 < asset.error_vs_time[-1, 2] <= 0.05
     assert reached < 0.065
-    with pytest.raises(QueryError, match="walks a bin leave"):
+    with pytest.raises(QueryError, match="paths a bin leave"):
         baked(scene, degree=1, samples=64, error=1e-4)

@@ -164,6 +164,21 @@ def test_a_bake_with_changed_arguments_does_not_resume(tmp_path: Path, monkeypat
             bake(Incoherent(), icosphere(0), **{**FIXED, **changed}, out=tmp_path / "a.h5", resume=True)
 
 
+def test_a_bake_for_a_time_resumes_with_another_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE", 5 * 32)
+    out, whole, arguments = tmp_path / "a.h5", tmp_path / "whole.h5", {**SMALL, "error": 0.5}
+    bake(Incoherent(), icosphere(1), **arguments, minutes=9.0, out=whole).close()
+    calls = iter([False] * 4 + [True] * 1000)
+    bake(Incoherent(), icosphere(1), **arguments, minutes=5.0, out=out, stop=lambda: next(calls)).close()
+    assert list((tmp_path / "a.h5.journal").glob("00-*.npz"))
+    bake(Incoherent(), icosphere(1), **arguments, minutes=3.0, out=out, resume=True).close()
+    same(out, whole)
+    calls = iter([False] * 4 + [True] * 1000)
+    bake(Incoherent(), icosphere(1), **arguments, minutes=5.0, out=out, stop=lambda: next(calls)).close()
+    with pytest.raises(StorageError, match="minutes was 'any' and is None"):
+        bake(Incoherent(), icosphere(1), **arguments, out=out, resume=True)
+
+
 def test_a_full_disk_loses_no_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out, whole = tmp_path / "a.h5", tmp_path / "whole.h5"
     bake(Incoherent(), icosphere(0), **FIXED, out=whole).close()

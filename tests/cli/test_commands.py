@@ -252,7 +252,7 @@ def test_a_report_of_a_bake_takes_a_view_or_an_eye(prtbake: Run, tmp_path: Path)
 
 
 def test_info_prints_one_figure_per_line(prtbake: Run) -> None:
-    lines = prtbake("info", demonstration.MODEL).out.splitlines()
+    lines = prtbake("info", demonstration.MODEL, "--all").out.splitlines()
     figures = dict(line.split("  ", 1) for line in lines)
     assert float(figures["training: relative_rmse: coefficients"]) < 0.2
     assert max(map(len, lines)) < 160
@@ -315,14 +315,21 @@ def test_demo_bakes_relights_and_measures_the_shipped_object(
 
 @pytest.mark.parametrize(
     ("file", "kind"),
-    [("sphere.ply", "mesh"), ("sky.exr", "sky"), ("scene.toml", "scene"), ("model.pt", "model"), ("asset.h5", "asset")],
+    [
+        *(("sphere.ply", "mesh"), ("sky.exr", "picture"), ("scene.toml", "scene")),
+        *(("model.pt", "model"), ("asset.h5", "asset")),
+    ],
 )
 def test_info_and_check_of_every_kind(prtbake: Run, file: str, kind: str) -> None:
     assert json.loads(prtbake("info", file, "--json").out)["kind"] == kind
-    assert kind in prtbake("info", file).out
+    screen = prtbake("info", file)
+    assert screen.out.startswith("kind ")
+    assert kind in screen.out.splitlines()[0]
+    assert len(screen.out.splitlines()) + len(screen.err.splitlines()) <= 25
     checked = prtbake("check", file)
     assert (checked.code, checked.out) == (0, f"{file}: sound\n")
-    assert checked.err.startswith("next: prtbake ") if kind in ("mesh", "scene") else not checked.err
+    assert screen.err == f"next: prtbake info {file} --all\n{checked.err}"
+    assert checked.err.startswith("next: prtbake ") if kind != "picture" else not checked.err
 
 
 def test_a_path_traced_bake_reports_the_limits_of_its_figures(prtbake: Run, folder: Path, tmp_path: Path) -> None:

@@ -1,16 +1,18 @@
 """`prtbake init` and `prtbake materials`: scenes that work at once, sizes and units, and what is refused."""
 
 import re
+import shlex
 
 import numpy as np
 import pytest
 import trimesh
 
-from formats.mesh import build_mesh, flipped, write_mesh
+from formats.mesh import build_mesh, flipped, read_mesh, write_mesh
 from formats.scene import read_scene
 from formats.scene.materials import find_material, materials
+from formats.scene.schema import InsideTable, InterfaceTable, MediumTable, MixTable, ObjectTable
 from prt_bake.cli.main import main
-from prt_bake.inspection.files import find_faults
+from prt_bake.inspection.files import find_faults, find_remarks
 
 
 @pytest.fixture(scope="module")
@@ -76,15 +78,47 @@ def test_the_numbers_in_the_comments_are_those_of_the_material(init, tmp_path):
 
 
 def test_without_a_size_the_unit_is_said(init, tmp_path):
-    code, _, err = init("ball.glb", "--material", "wax")
-    assert code == 0
-    assert "ball.glb: glTF is in metres, so the object is 2000 mm long; --size changes that" in err
-    assert "remark: it will look opaque" in err
-    assert read_scene(tmp_path / "ball.toml").unit == "m"
-    code, _, err = init("ball.obj", "--material", "wax", "-o", "wax.toml")
+    code, _, err = init("ball.obj", "--material", "wax")
     assert code == 0
     assert "ball.obj: the format has no unit of length; the object is taken to be 10 cm long" in err
-    assert read_scene(tmp_path / "wax.toml").tables.object.length_in_mm == pytest.approx(50)
+    assert err.endswith("next: prtbake make ball.toml -o ball\n")
+    assert read_scene(tmp_path / "ball.toml").tables.object.length_in_mm == pytest.approx(50)
+
+
+def test_a_large_gltf_object_leads_to_a_size_that_looks_translucent(init, meshes, tmp_path, capsys):
+    code, _, err = init("ball.glb", "--material", "wax", "-o", "w x.toml", "--up", "z")
+    assert code == 0
+    assert "ball.glb: glTF is in metres, so the object is 2000 mm long; --size changes that" in err
+    assert "remark: wax of this size looks opaque, like stone; 3cm looks translucent: --size 3cm" in err
+    assert read_scene(tmp_path / "w x.toml").unit == "m"
+    command = f"prtbake init {meshes / 'ball.glb'} --material wax --size 3cm -o 'w x.toml' --up z --force"
+    assert err.endswith(f"next: {command}\n")
+    assert main(shlex.split(command)[1:]) == 0
+    assert not find_remarks(tmp_path / "w x.toml")[:-1]  # but for the energy that a rough surface loses
+    assert main(["check", str(meshes / "ball.glb")]) == 0
+    out, err = capsys.readouterr()
+    assert "ball.glb: it is 2 m long, since glTF is in metres; jade, wax or marble of that size looks opaque" in out
+    assert err.endswith(f"next: prtbake init {meshes / 'ball.glb'} --material jade --size 10cm\n")
+
+
+def test_the_other_keys_work_without_the_hash(init, meshes, tmp_path):
+    assert init("ball.obj", "--material", "wax", "--size", "5cm")[0] == 0
+    text = (tmp_path / "ball.toml").read_text()
+    for table in (ObjectTable, InterfaceTable, MediumTable, MixTable, InsideTable):
+        for name, field in table.model_fields.items():
+            assert re.search(rf"\b{field.alias or name}\b", text), name
+    before, _, rest = text.partition("# All other keys")
+    keys, _, after = rest.partition("# Next, in this folder")
+    lines = [line.removeprefix("# ") for line in keys.splitlines()]
+    lines = [line for line in lines if re.match(r"(\[|[a-z_]+ = )", line)]
+    assert len(lines) == 16
+    core = read_mesh(meshes / "ball.obj")
+    write_mesh(build_mesh(core.positions / 2, core.faces), tmp_path / "core.obj")
+    (tmp_path / "ball.toml").write_text("\n".join([before, *lines, "#" + after]))
+    assert not find_faults(tmp_path / "ball.toml")
+    scene = read_scene(tmp_path / "ball.toml")
+    assert scene.tables.medium.mix.pattern == "veins"
+    assert [part.name for part in scene.parts] == ["object", "core"]
 
 
 def test_hard_edges_keep_their_faces(init, tmp_path):
@@ -130,8 +164,9 @@ def test_an_existing_scene_is_kept(init, tmp_path):
 
 
 WRONG = {
-    (): "Missing option '--material'. estimates: jade, white jade, ",
-    ("--material", "marbel"): "--material: unknown material 'marbel'; did you mean 'marble'?",
+    (): "Missing option '--material'. Choose one:\n  estimates: jade, white jade, ",
+    ("--material", "marbel"): "--material: unknown material 'marbel'; did you mean 'marble'",
+    ("--material", "xyzzy"): "--material: unknown material 'xyzzy'; `prtbake materials` lists all",
     ("--material", "wax", "--size", "14"): "--size: expected a positive length with its unit, such as 14cm",
     ("--material", "wax", "--size", "-1cm"): "--size: expected a positive length with its unit, such as 14cm",
 }
@@ -149,8 +184,9 @@ def test_the_list_of_materials_has_every_one_with_its_source(capsys):
     out = capsys.readouterr().out
     assert all(f"  {material.name} " in out for material in materials().values())
     assert all(len(line) <= 100 for line in out.splitlines())
-    assert out.startswith("estimates: an estimate: ")
+    assert out.startswith("estimates: chosen for ")
+    assert "an object 5 to 50 times as long glows" in out
     assert main(["materials", "spectralon"]) == 0
     assert "0.086 0.049 0.067     inf   inf   inf   1.000 1.000 1.000  1.3" in capsys.readouterr().out
     assert main(["materials", "marbel"]) == 2
-    assert "unknown material 'marbel'; did you mean 'marble'?" in capsys.readouterr().err
+    assert "unknown material 'marbel'; did you mean 'marble'" in capsys.readouterr().err

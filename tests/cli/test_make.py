@@ -15,10 +15,11 @@ from formats.mesh import build_mesh, flipped, read_mesh, write_mesh
 from prt_bake.cli.main import main as prtbake
 from prt_bake.cli.making import steps
 from prt_bake.cli.making.make import make
+from prt_bake.cli.making.record import only_run
 from prt_bake.cli.shared import signals
 from prt_bake.cli.shared.next_step import say_next
 
-SECONDS = {"train": 720.0, "bake": 200.0, "picture": 8.0, "turntable": 20.0}
+SECONDS = {"train": 660.0, "bake": 200.0, "picture": 8.0, "turntable": 20.0}
 
 
 class Kitchen:
@@ -26,7 +27,7 @@ class Kitchen:
 
     def __init__(self, asset):
         self.asset, self.seconds, self.now = asset, dict(SECONDS), 0.0
-        self.calls, self.broken, self.slow, self.frame = [], "", False, 4.0
+        self.calls, self.broken, self.slow, self.frame, self.part = [], "", False, 4.0, 1.0
         self.app = typer.Typer()
         for command in (make, self.train, self.bake, self.shade):
             self.app.command(command.__name__)(command)
@@ -38,7 +39,7 @@ class Kitchen:
 
     def finish(self, name, output, *facts):
         self.calls.append((name, *facts))
-        self.now += self.seconds[name]
+        self.now += self.part * self.seconds[name]
         output.write_bytes(b"half")
         if name == self.broken:
             Path(f"{output}.journal").mkdir(exist_ok=True)
@@ -92,9 +93,15 @@ class Kitchen:
         frames: int = 0,
         seconds: float = 0.0,
         reflection: Annotated[bool, typer.Option("--reflection")] = False,
+        samples: int = 3,
+        tone_map: str = "none",
+        exposure: float = 0.0,
+        view: str = "",
     ) -> None:
         assert reflection
-        self.finish("turntable" if turntable else "picture", output, frames, *map(str, light))
+        assert seconds == (3.0 if turntable else 0.0)
+        shown = (tone_map, exposure, view)
+        self.finish("turntable" if turntable else "picture", output, frames, *map(str, light), *shown)
 
 
 @pytest.fixture(scope="session")
@@ -111,6 +118,7 @@ def kitchen(asset, tmp_path, monkeypatch):
     cook = Kitchen(asset)
     monkeypatch.setattr(steps, "time", SimpleNamespace(monotonic=lambda: cook.now))
     monkeypatch.setattr(steps, "_frame_seconds", lambda asset, lights: cook.frame)
+    monkeypatch.setattr(steps, "_quality", lambda model: "the network is 9.0 % off")
     return cook
 
 
@@ -121,22 +129,25 @@ def summary():
 def test_the_steps_share_the_time(kitchen, capsys):
     calls = kitchen.run("wax.toml", "-o", "out", "--minutes", "20")
     assert [call[0] for call in calls] == ["train", "bake", "picture", "turntable"]
-    assert calls[0][1:] == (12.0, False)
-    assert calls[1][1:] == (0.02, 5.0, False)  # 20 minutes less 12 of training and 3 for the rest
+    assert calls[0][1:] == (11.0, False)
+    assert calls[1][1:] == (0.02, 7.0, False)  # 20 minutes less 11 of training and 2 for the rest
     assert calls[2][2].endswith("sky.hdr")
-    assert calls[2][3] == "sun:0.6,0.6,-0.6:2,1.9,1.7:3"
-    assert calls[3][1] == 34  # frames: half of the 272 s that are left, 4 s each
+    assert calls[2][3:] == ("sun:0.6,0.6,-0.6:2,1.9,1.7:3", "agx", 0.0, "")
+    assert calls[3][1] == 41  # frames: half of the 332 s that are left, 4 s each
     found = summary()
     assert [step["name"] for step in found["steps"]] == ["train", "bake", "picture", "turntable", "compress"]
-    assert found["seconds"] == sum(SECONDS.values())
+    assert found["spent"] == sum(SECONDS.values())
     assert found["steps"][0]["files"].keys() == {"model.pt", "model.report.html"}
     assert found["figures"]["vertices"] == 42
     page = Path("out/summary.md").read_text()
-    assert "    prtbake train wax.toml -o out/model.pt --minutes 12\n" in page
+    assert "    prtbake train wax.toml -o out/model.pt --minutes 11\n" in page
     assert "    prtbake bake out/model.pt ball.obj -o out/asset.h5 --workers" in page
     assert "![picture.png](picture.png)" in page
     captured = capsys.readouterr()
-    assert captured.out.startswith("out/summary.md: error of the coefficients ")
+    assert captured.out.startswith("out/summary.md: error of the asset ")
+    assert "out/asset.h5: " in captured.out
+    assert "the same asset, to pass on: at most 0.5 % off" in captured.out
+    assert "out/model.pt: the network is 9.0 % off" in captured.err
     assert "next: prtbake view out/asset.h5" in captured.err.splitlines()[-1]
     assert captured.err.count("next: ") == 1
 
@@ -144,11 +155,11 @@ def test_the_steps_share_the_time(kitchen, capsys):
 def test_finished_steps_are_not_done_again(kitchen, capsys):
     kitchen.run("wax.toml", "-o", "out", "--light", "sun:0,1,0")
     assert kitchen.run("wax.toml", "-o", "out", "--light", "sun:0,1,0") == []
-    assert "train: done already, in 12:00 min" in capsys.readouterr().err
+    assert "train: done already, in 11:00 min" in capsys.readouterr().err
     Path("out/asset.h5").unlink()
     calls = kitchen.run("wax.toml", "-o", "out", "--light", "sun:0,1,0")
     assert [call[0] for call in calls] == ["bake", "picture", "turntable"]
-    assert calls[1] == ("picture", 0, "sun:0,1,0")
+    assert calls[1] == ("picture", 0, "sun:0,1,0", "agx", 0.0, "")
 
 
 def test_a_stopped_training_is_resumed(kitchen, capsys):
@@ -157,26 +168,83 @@ def test_a_stopped_training_is_resumed(kitchen, capsys):
         kitchen.run("wax.toml", "-o", "out")
     assert "train was not finished; the same `prtbake make` continues there" in capsys.readouterr().err
     kitchen.broken = ""
-    assert kitchen.run("wax.toml", "-o", "out")[0] == ("train", 12.0, True)
+    assert kitchen.run("wax.toml", "-o", "out")[0] == ("train", 11.0, True)
 
 
-def test_a_stopped_bake_is_resumed_with_the_same_time(kitchen):
+def test_a_stopped_bake_is_resumed_with_the_time_that_is_left(kitchen, capsys):
     kitchen.broken = "bake"
     with pytest.raises(PrtbakeError, match="bake: stopped"):
         kitchen.run("wax.toml", "-o", "out")
     kitchen.broken, kitchen.seconds["bake"] = "", 100.0
+    capsys.readouterr()
     calls = kitchen.run("wax.toml", "-o", "out")
     assert [call[0] for call in calls] == ["bake", "picture", "turntable"]
-    assert calls[0] == ("bake", 0.02, 5.0, True)
+    assert calls[0] == ("bake", 0.02, 3.67, True)  # 7 minutes less 200 s
+    assert "bake, 5:40 min left of 20:00 min" in capsys.readouterr().err
     assert "--resume" not in Path("out/summary.md").read_text()
+    assert summary()["steps"][1]["seconds"] == 300.0
+    assert summary()["spent"] == 988.0
+
+
+def test_time_that_is_lost_is_taken_from_all_steps(kitchen):
+    """A training that was stopped before it had a checkpoint begins again."""
+    kitchen.broken, kitchen.part = "train", 1.0 / 3.0
+    with pytest.raises(PrtbakeError, match="train: stopped"):
+        kitchen.run("wax.toml", "-o", "out")
+    Path("out/model.train.pt").unlink()
+    record = json.loads(Path("out/summary.json").read_text())
+    Path("out/summary.json").write_text(json.dumps(record | {"unfinished": {}}))
+    kitchen.broken, kitchen.part = "", 1.0
+    assert kitchen.run("wax.toml", "-o", "out")[0] == ("train", 8.98, False)  # 55 % of 20 minutes less 220 s
+
+
+def test_more_minutes_train_on(kitchen, capsys):
+    kitchen.run("wax.toml", "-o", "out", "--minutes", "16")
+    kitchen.seconds["train"] = 300.0
+    calls = kitchen.run("wax.toml", "-o", "out", "--minutes", "30")
+    assert [call[0] for call in calls] == ["train", "bake", "picture", "turntable"]
+    assert calls[0] == ("train", 14.4, True)  # 55 % of 30 minutes less the 228 s of what is made anew
+    assert "train, 15:12 min left of 30:00 min" in capsys.readouterr().err
+    assert summary()["steps"][0]["seconds"] == 960.0
+    assert summary()["minutes"] == 30.0
+    assert kitchen.run("wax.toml", "-o", "out") == []
+    with pytest.raises(PrtbakeError, match=r"out: was made for 30 minutes, found --minutes 20; omit it"):
+        kitchen.run("wax.toml", "-o", "out", "--minutes", "20")
+
+
+def test_minutes_that_are_over_already_are_refused(kitchen):
+    kitchen.seconds["train"] = 900.0
+    kitchen.run("wax.toml", "-o", "out", "--minutes", "16")
+    with pytest.raises(PrtbakeError, match=r"out: has taken \d\d:\d\d min already, found --minutes 17; ask for more"):
+        kitchen.run("wax.toml", "-o", "out", "--minutes", "17")
+
+
+def test_other_pictures_are_made_alone(kitchen):
+    kitchen.run("wax.toml", "-o", "out")
+    calls = kitchen.run("wax.toml", "-o", "out", "--light", "sun:0,1,0", "--tone-map", "none", "--view", "back")
+    assert [call[0] for call in calls] == ["picture", "turntable"]
+    assert calls[0][2:] == ("sun:0,1,0", "none", 0.0, "back")
+    calls = kitchen.run("wax.toml", "-o", "out", "--exposure", "-1")
+    assert calls[0][-3:] == ("agx", -1.0, "")
+
+
+def test_one_run_at_a_time(kitchen):
+    Path("out").mkdir()
+    with (
+        only_run(Path("out")),
+        pytest.raises(PrtbakeError, match="out: another `prtbake make` works in this folder; wait until it ends"),
+    ):
+        kitchen.run("wax.toml", "-o", "out")
+    assert len(kitchen.run("wax.toml", "-o", "out")) == 4
+    assert not Path("out/make.lock").exists()
 
 
 def test_a_bake_that_is_too_slow_is_coarse(kitchen, capsys):
     kitchen.slow = True
     calls = kitchen.run("wax.toml", "-o", "out")
-    assert calls[1:3] == [("bake", 0.02, 5.0, False), ("bake", 4, 0.0, False)]
+    assert calls[1:3] == [("bake", 0.02, 7.0, False), ("bake", 4, 0.0, False)]
     assert (
-        "bake: not all vertices were ready after 5 minutes; a coarse bake follows, of fewer views"
+        "bake: not all vertices were ready after 7 minutes; a coarse bake follows, of fewer views"
         in capsys.readouterr().err
     )
     assert "--rings 4 --sectors 8 --samples 18" in summary()["steps"][1]["command"]
@@ -204,7 +272,7 @@ def test_a_step_that_ends_well_after_ctrl_c_is_not_finished(kitchen, monkeypatch
 
 def test_what_the_time_is_over_for_is_left_out(kitchen, capsys):
     kitchen.seconds |= {"train": 1150.0, "bake": 130.0}
-    kitchen.frame = 32.0
+    kitchen.frame = 32.0  # 12 of them take longer than the tenth of the time that a later run has at least
     calls = kitchen.run("wax.toml", "-o", "out")
     assert calls[1][2] == 2.0  # the bake has a tenth of the time, however long the training took
     assert [call[0] for call in calls] == ["train", "bake", "picture"]
@@ -213,7 +281,7 @@ def test_what_the_time_is_over_for_is_left_out(kitchen, capsys):
     assert "| compress | 0 s | left out, since the time was over |" in Path("out/summary.md").read_text()
     assert not Path("out/compact.h5").exists()
     kitchen.seconds["turntable"] = 100.0
-    assert kitchen.run("wax.toml", "-o", "out") == []  # what a later run has at least is less than 8 frames take
+    assert kitchen.run("wax.toml", "-o", "out") == []
     kitchen.frame = 4.0
     Path("out/picture.png").unlink()
     assert [call[0] for call in kitchen.run("wax.toml", "-o", "out")] == ["picture", "turntable"]
@@ -227,9 +295,7 @@ def test_another_scene_or_foreign_files_are_refused(kitchen):
     with pytest.raises(PrtbakeError, match=r"out: was made with scene_hash .* choose another folder, or add --force"):
         kitchen.run("wax.toml", "-o", "out")
     Path("wax.toml").write_text(text)
-    with pytest.raises(PrtbakeError, match=r"out: was made with minutes 20\.0, found 5\.0"):
-        kitchen.run("wax.toml", "-o", "out", "--minutes", "5")
-    kitchen.seconds |= {"train": 210.0, "bake": 50.0}
+    kitchen.seconds |= {"train": 150.0, "bake": 40.0}
     assert len(kitchen.run("wax.toml", "-o", "out", "--minutes", "5", "--force")) == 4
     Path("out/summary.json").write_text("{}")
     with pytest.raises(PrtbakeError, match=r"summary\.json: was not written by `prtbake make`, or is damaged"):
@@ -259,7 +325,25 @@ def test_what_would_fail_later_is_refused_at_once(kitchen):
     write_mesh(flipped(read_mesh("ball.obj")), "ball.obj")
     with pytest.raises(PrtbakeError, match=r"ball\.obj: the faces are wound inside out; flip the normals"):
         kitchen.run("wax.toml", "-o", "out")
+    for size, words in (("", "--material and --size are"), ("0.1", "training, bake and pictures take 2 minutes")):
+        with pytest.raises(typer.BadParameter, match=words):
+            kitchen.run("wax.toml", "-o", "out", *(["--minutes", size] if size else ["--size", "3cm"]))
     assert kitchen.calls == []
+
+
+def test_a_mesh_is_checked_before_anything_is_written(kitchen):
+    trimesh.load("ball.obj").export("ball.glb")  # 2 m
+    with pytest.raises(typer.BadParameter, match="Missing option '--material'"):
+        kitchen.run("ball.glb", "-o", "new")
+    with pytest.raises(PrtbakeError, match=r"missing\.hdr: there is no such file"):
+        kitchen.run("ball.glb", "-o", "new", "--material", "jade", "--size", "5cm", "--light", "missing.hdr")
+    with pytest.raises(typer.BadParameter, match="would look like stone; give its size") as error:
+        kitchen.run("ball.glb", "-o", "new", "--material", "jade")
+    assert not Path("new").exists()
+    assert "such as: prtbake make ball.glb -o new --material jade --size 6cm (--size 2000mm keeps it)" in str(
+        error.value
+    )
+    assert len(kitchen.run("ball.glb", "-o", "new", "--material", "jade", "--size", "2000mm")) == 4
 
 
 @pytest.mark.statistics
@@ -269,7 +353,7 @@ def test_a_mesh_becomes_an_asset_and_pictures(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     ball = trimesh.creation.icosphere(subdivisions=1)
     write_mesh(build_mesh(ball.vertices, ball.faces), tmp_path / "ball.obj")
-    command = ["make", "ball.obj", "-o", "out", "--material", "jade", "--size", "5cm", "--minutes", "1"]
+    command = ["make", "ball.obj", "-o", "out", "--material", "jade", "--size", "5cm", "--minutes", "2"]
     assert prtbake(command) == 0
     assert {"model.pt", "asset.h5", "picture.png", "summary.md"} <= {path.name for path in Path("out").iterdir()}
     assert summary()["figures"]["errors"]["total"][0] < 0.5

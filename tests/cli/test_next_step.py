@@ -1,6 +1,7 @@
 """Commands end with the next one to type, which works with the user's own file names."""
 
 import shlex
+import shutil
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -43,16 +44,62 @@ def test_a_picture_that_exists_is_not_the_next_one(tmp_path: Path, capsys: pytes
     assert str(tmp_path / "a.png") not in _next(capsys.readouterr().err)
 
 
+@pytest.mark.parametrize("installed", [True, False])
+def test_the_lights_and_options_of_the_user_are_kept(
+    installed: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if not installed:
+        monkeypatch.setitem(sys.modules, "pyvista", None)
+    say_next_of_asset(Path("a.h5"), "--reflection", lights=["my sky.hdr", "sun:0,1,0"])
+    line = " ".join(_next(capsys.readouterr().err))
+    assert "a.h5 --light my sky.hdr --light sun:0,1,0 --reflection" in line
+
+
+def test_a_bake_for_one_eye_and_light_is_shown_from_there(prtbake: Run, tmp_path: Path) -> None:
+    only = ("--for-light", "sky.exr", "--for-eye", "0,1,4.5")
+    line = _next(prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", *SMALL, *only).err)
+    assert " ".join(line).startswith(f"view {tmp_path / 'a.h5'} --light sky.exr --eye 0.0,1.0,4.5")
+    shown = prtbake(*line)
+    assert (shown.code, shown.err) == (0, "")
+    other = prtbake(*line[:2], "--light", "sky.hdr", "--eye", "0,1,5", "--screenshot", tmp_path / "b.png")
+    assert "alone: the picture shows that light, not sky.hdr" in other.err
+    assert "from other positions its colours are wrong" in other.err
+
+
+def test_files_that_exist_are_not_written_by_the_next_command(prtbake: Run, folder: Path, tmp_path: Path) -> None:
+    mesh = tmp_path / "sphere.ply"
+    shutil.copy(folder / "sphere.ply", mesh)
+    made = tmp_path / "sphere.toml"
+    assert prtbake("init", mesh, "--material", "jade", "-o", made).err.endswith(
+        f"make {made} -o {tmp_path / 'sphere'}\n"
+    )
+    (tmp_path / "sphere").mkdir()
+    again = prtbake("init", mesh, "--material", "jade", "-o", made, "--force")
+    assert again.err.endswith(f"make {made} -o {tmp_path / 'sphere_2'}\n")
+
+
 @pytest.mark.parametrize(
     ("line", "successor"),
     [
-        ("check sphere.ply", "init sphere.ply --material jade"),
+        ("check sphere.ply", "init sphere.ply --material jade --size 10cm"),
         ("check scene.toml", "train scene.toml -o scene.pt"),
-        ("sample scene.toml --count 2 -o {}/s.h5", "train scene.toml --samples {}/s.h5 -o scene.pt"),
-        ("render scene.toml sphere.ply --light sky.exr --size 4x4 --spp 2 -o {}/a.exr", "compare IMAGE {}/a.exr"),
+        ("check model.pt", "bake model.pt MESH -o model.h5"),
+        ("sample scene.toml --count 2 -o {}/s.h5", "train scene.toml --samples {}/s.h5 -o {}/scene.pt"),
     ],
 )
 def test_other_successors(prtbake: Run, tmp_path: Path, line: str, successor: str) -> None:
     outcome = prtbake(*line.format(tmp_path).split())
     assert outcome.code == 0
-    assert _next(outcome.err) == successor.format(tmp_path).split()
+    assert _next(outcome.err) == successor.format(tmp_path, tmp_path).split()
+
+
+def test_what_lies_beside_a_file_is_not_made_again(
+    prtbake: Run, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("sphere.ply", "scene.toml"):
+        (tmp_path / name).symlink_to(folder / name)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.pt").symlink_to(folder / "model.pt")
+    assert _next(prtbake("check", "scene.toml").err)[:2] == ["bake", "scene.pt"]
+    (tmp_path / "scene.h5").symlink_to(folder / "asset.h5")
+    assert _next(prtbake("check", "scene.toml").err)[:2] == ["view", "scene.h5"]

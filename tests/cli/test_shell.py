@@ -61,6 +61,14 @@ def test_names_and_options_complete_and_files_are_left_to_the_shell() -> None:
     assert _completed("bash", "prtbake bake model.pt sphere.ply -o ") == []
 
 
+def test_values_complete_as_a_shell_takes_them() -> None:
+    assert _completed("bash", "prtbake init a.obj --material wh") == [
+        *("white-jade", "whole-milk", "white-zinfandel", "white-grapefruit-juice")
+    ]
+    assert _completed("fish", "prtbake make a.obj --material head") == ["head-shoulders-shampoo"]
+    assert _completed("fish", "prtbake shade a.h5 --view three") == ["three-quarter", "three-quarter-back"]
+
+
 def test_the_completion_of_a_shell_can_be_shown_and_installed() -> None:
     options = [line.split()[0] for line in _help().splitlines() if "completion" in line and line.startswith("  --")]
     assert options == ["--install-completion", "--show-completion"]
@@ -78,8 +86,8 @@ def test_verbose_names_versions_and_the_origin_of_messages(
 ) -> None:
     monkeypatch.setattr("prt_bake.inspection.files.describe", lambda path: warn(f"{path}: a remark") or {"kind": "x"})
     monkeypatch.setattr("prt_bake.jit.notice.compiled", [("a", 1.0), ("b", 0.5)])
-    words = ("-v", "info", "scene.toml") if place == "before" else ("info", "scene.toml", "--verbose")
-    plain, verbose = prtbake("info", "scene.toml"), prtbake(*words)
+    words = ("-v", "info", "scene.toml", "--all") if place == "before" else ("info", "scene.toml", "--all", "--verbose")
+    plain, verbose = prtbake("info", "scene.toml", "--all"), prtbake(*words)
     assert (verbose.code, verbose.out) == (0, plain.out)
     assert plain.err == "prtbake: warning: scene.toml: a remark\n"
     first, *_, origin, compilation, last = verbose.err.splitlines()

@@ -25,6 +25,7 @@ COMMAND = ["view", "asset.h5", "--light", "sky.exr"]
         ["--view", "left"],
         ["--suns", "plain"],
         ["--suns", "window"],
+        ["--tone-map", "agx", "--exposure", 2],
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*exposure of -1 EV")
@@ -42,6 +43,13 @@ def test_a_screenshot_equals_the_picture_of_shade(prtbake: Run, tmp_path: Path, 
     off = 255.0 * np.abs(to_srgb(read_image(shot)) - to_srgb(read_image(shaded))).max(axis=2)
     assert np.median(off) <= 1.0
     assert (off > 3.0).mean() < 0.15  # edges of a ball of 80 faces
+
+
+def test_a_reflection_that_cannot_be_shown_is_said(prtbake: Run, tmp_path: Path) -> None:
+    shot = ["--reflection", "--size", "32x24", "--screenshot", tmp_path / "shot.png"]
+    outcome = prtbake("view", "asset.h5", "--light", "sun:1,2,3", *shot)
+    assert outcome.code == 0
+    assert outcome.err.startswith("prtbake: asset.h5: no reflection: ")
 
 
 def test_a_sphere_light_is_shown_as_by_shade(prtbake: Run, tmp_path: Path) -> None:
@@ -139,4 +147,4 @@ def test_the_window_is_shown(prtbake: Run, monkeypatch: pytest.MonkeyPatch) -> N
     in_memory = window.open_plotter
     monkeypatch.setattr(window, "open_plotter", lambda width, height, *_: in_memory(width, height, True))
     assert prtbake(*COMMAND, "--light", "sky.hdr", "--size", "64x48").code == 0
-    assert [source.name for source in seen[0].view.preview.lights] == ["sky.exr", "sky.hdr"]
+    assert [source.name for source in seen[0].view.preview.lights] == ["sky.exr", "sky.hdr", "sky.exr + sky.hdr"]

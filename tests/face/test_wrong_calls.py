@@ -278,7 +278,7 @@ def test_arguments_of_other_libraries_are_taken() -> None:
 
 
 def test_a_scene_is_baked_by_its_path_tracer(scene: prt.Scene) -> None:
-    with pytest.raises(PrtbakeError, match="samples must be at least 2 walks a bin"):
+    with pytest.raises(PrtbakeError, match="samples must be at least 2 paths a bin"):
         prt.bake(scene, scene.mesh, rings=1, sectors=1, samples=1)
 
 

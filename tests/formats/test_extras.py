@@ -41,6 +41,7 @@ def test_commands_say_it_before_any_work(
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
     sentence = "flip-evaluator is not installed; pip install flip-evaluator"
     assert prtbake(*line.split()) == (1, "", f"prtbake: {LINES[line]}: {sentence}\n")
+    assert not Path("out").exists()
 
 
 def test_plots_need_matplotlib(prtbake: Run, monkeypatch: pytest.MonkeyPatch) -> None:

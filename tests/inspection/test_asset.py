@@ -116,7 +116,7 @@ def test_info_prints_the_error_of_network_and_bake_first(prtbake: Run, tmp_path:
         make_asset(ball(1)), network_error=ErrorInterval(0.06, 0.05, 0.08), provenance=provenance
     )
     write_asset(asset, tmp_path / "a.h5")
-    lines = prtbake("info", tmp_path / "a.h5").out.splitlines()
+    lines = prtbake("info", tmp_path / "a.h5", "--all").out.splitlines()
     names, figures = zip(*(line.split("  ", 1) for line in lines), strict=True)
     assert names[:3] == ("kind", "bytes", "error of the coefficients")
     assert figures[2].strip() == "6.08% (5.10% to 8.06%): the network is off by 6.00%, the bake is off by 1.00%"

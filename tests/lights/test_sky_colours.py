@@ -99,7 +99,7 @@ def test_info_names_the_layer_and_light_is_that_of_the_layer(prtbake: Run, tmp_p
     channels |= {f"V.AO.{name}": np.full((16, 32), 0.5, np.float32) for name in "RGB"}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     OpenEXR.File(header, channels).write(str(path))
-    light, info, check = (prtbake(command, path) for command in ("light", "info", "check"))
+    light, info, check = (prtbake(*words) for words in (("light", path), ("info", path, "--all"), ("check", path)))
     assert [outcome.code for outcome in (light, info, check)] == [0, 0, 0]
     assert light.out == prtbake("light", alone).out
     warning = f"prtbake: warning: {path}: the colours are those of layer V.Combined; the file also has layer V.AO\n"
@@ -125,7 +125,7 @@ def test_jpegs_are_described_and_checked(prtbake: Run, tmp_path: Path, suffix: s
 
     Image.fromarray(np.full((8, 16, 3), 200, np.uint8)).save(tmp_path / f"a{suffix}")
     assert prtbake("check", tmp_path / f"a{suffix}").out.endswith("sound\n")
-    assert "width" in prtbake("info", tmp_path / f"a{suffix}").out
+    assert "16 × 8 pixels" in prtbake("info", tmp_path / f"a{suffix}").out
 
 
 def test_a_sky_with_colours_outside_rec709_lights_pictures(prtbake: Run, tmp_path: Path) -> None:

@@ -267,10 +267,11 @@ def test_the_command_refuses_unknown_scenes_and_skies(prtbake: Run) -> None:
     for arguments, sentence in (
         (["--scene", "teapot"], "'teapot' is not a scene of the paper"),
         (["--sky", "nowhere.hdr"], "nowhere.hdr: there is no such sky"),
-        (["--scenes", "nowhere"], "nowhere/skies/outdoor.hdr: there is no such sky"),
+        (["--scenes", "nowhere"], "nowhere: there is no such folder; the paper's scenes are in the folder scenes of"),
     ):
-        outcome = prtbake("report", "paper", *arguments)
+        outcome = prtbake("report", "paper", "--out", "new", *arguments)
         assert outcome.code == 1
         assert sentence in outcome.err
         assert outcome.err.count("\n") == 1
+        assert not Path("new").exists()
     assert prtbake("report", "paper", "--size", "none").code == 2

@@ -24,6 +24,7 @@ from prt_bake.paper.scenes import (
     is_stand_in,
     object_share,
     open_scene,
+    scenes_folder,
     select_scenes,
 )
 from prt_bake.paper.settings import ReportSettings
@@ -84,6 +85,7 @@ def test_scenes_are_selected_in_the_papers_order() -> None:
 
 
 def test_skies_are_those_of_the_repository_or_files(tmp_path: Path) -> None:
+    assert scenes_folder(None).samefile(FOLDER)
     assert list(sky_files([], FOLDER)) == ["outdoor", "indoor"]
     (tmp_path / "park.hdr").write_bytes((FOLDER / SKIES["outdoor"]).read_bytes())
     assert sky_files(["indoor", str(tmp_path / "park.hdr")], FOLDER) == {

@@ -61,6 +61,18 @@ def test_changed_skies_of_a_lights_file_are_reloaded(tmp_path) -> None:
     assert "still showing" in str(source.reload())
 
 
+def test_several_lights_are_added_up_and_reloaded(tmp_path) -> None:
+    write_image(tmp_path / "sky.exr", constant())
+    write_image(tmp_path / "other.exr", 2.0 * constant())
+    alone = [LightSource(text, "y", 2).shown.harmonics for text in (str(tmp_path / "sky.exr"), "sun:0,1,0")]
+    source = LightSource([str(tmp_path / "sky.exr"), "sun:0,1,0"], "y", 2)
+    assert source.name == "sky.exr + sun:0,1,0"
+    np.testing.assert_allclose(source.shown.harmonics, sum(alone))
+    write(tmp_path / "sky.exr", (tmp_path / "other.exr").read_bytes())
+    assert source.reload() == "sky.exr + sun:0,1,0 was reloaded"
+    np.testing.assert_allclose(source.shown.harmonics, sum(alone) + alone[0])
+
+
 def test_a_missing_light_is_refused(tmp_path) -> None:
     with pytest.raises(PrtbakeError, match=r"none\.exr"):
         LightSource(str(tmp_path / "none.exr"), "y", 2)

@@ -119,8 +119,15 @@ def test_a_notebook_has_sliders_for_the_light_and_the_eye() -> None:
     first = image_of(widget)
     assert first.shape == (600, 800, 3)
     controls = {control.description: control for control in widget.children[1].children}
-    assert list(controls) == ["light", "exposure", "around", "above", "reflection"]
-    for name, value in (("light", 90.0), ("exposure", -1.0), ("around", 45.0), ("above", -20.0), ("reflection", True)):
+    assert list(controls) == ["light", "exposure", "around", "above", "AgX", "reflection"]
+    for name, value in (
+        ("light", 90.0),
+        ("exposure", -1.0),
+        ("around", 45.0),
+        ("above", -20.0),
+        ("AgX", True),
+        ("reflection", True),
+    ):
         control = controls[name]
         before = control.value
         control.value = value
@@ -140,7 +147,7 @@ def test_the_picture_in_a_notebook_is_that_of_shade() -> None:
 @pytest.mark.usefixtures("notebook")
 def test_a_notebook_without_ipywidgets_or_with_one_light(monkeypatch) -> None:
     names = [control.description for control in ONE_LIGHT.show().children[1].children]
-    assert names == ["exposure", "around", "above"]
+    assert names == ["exposure", "around", "above", "AgX"]
     monkeypatch.setattr(shows.importlib.util, "find_spec", lambda name: None)
     assert np.asarray(ONE_LIGHT.show()).shape == (600, 800, 3)
 

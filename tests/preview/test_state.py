@@ -12,7 +12,7 @@ from formats.image import write_image
 from formats.image.png import to_linear
 from prt_bake.lights import environment
 from prt_bake.mathematics import sh
-from prt_bake.preview import colours, legend
+from prt_bake.preview import colours, legend, reasons
 from prt_bake.preview.lights import LightSource
 from prt_bake.preview.state import Mode, Preview
 from prt_bake.shading.picture import shade
@@ -131,12 +131,13 @@ def test_an_index_of_1_reflects_nothing(sky) -> None:
     matched, glass = made(sky), made(sky, provenance={"eta": 1.5, "roughness": 0.3})
     matched.toggle_reflection()
     assert matched.reflected_sky is None
-    assert "index of refraction is 1" in matched.message
+    assert "index of refraction is 1" in reasons.of_reflection(matched)
     assert "r" not in dict(legend.keys(matched, None))
     assert glass.reflected_sky is None
     glass.toggle_reflection()
     assert glass.reflected_sky is glass.reflected_sky
     assert "r" in dict(legend.keys(glass, None))
+    assert reasons.of_reflection(glass) == ""
     assert (glass.interface.eta, glass.interface.alpha) == (1.5, 0.3)
     glass.show(Mode.ERROR)
     assert glass.reflected_sky is None

@@ -171,6 +171,16 @@ def test_a_rough_surface_blurs_its_reflection(tmp_path) -> None:
     assert (seen[0] > 200).any()
 
 
+def test_a_rough_surface_reflects_as_much_as_in_a_written_picture(tmp_path) -> None:
+    """Up to the silhouette, where a smooth surface would reflect all."""
+    asset, sky = mirror(ball(3), 0.3), constant()
+    window = open_window(asset, [write_sky(tmp_path / "sky.exr", sky)], SIZE)
+    press(window, "r")
+    picture = render_picture(asset, as_lighting(sky, "y", 0.0), camera.fit(asset.mesh, *SIZE), reflection=True)
+    off = np.abs(bare_picture(window) - encoded(picture.image)).max(axis=2)[picture.coverage == 1.0]
+    assert np.quantile(off, 0.95) <= 3.0
+
+
 def test_the_sky_follows_the_lat_long_convention(tmp_path) -> None:
     """The view along +x shows the middle of the sky, with +z to the right."""
     sky = np.zeros((32, 64, 3), np.float32)

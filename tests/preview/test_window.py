@@ -18,6 +18,7 @@ from prt_bake.preview import window as windows
 from prt_bake.preview.state import Mode
 from prt_bake.preview.window import Window
 from prt_bake.shading.picture import render_picture
+from prt_bake.shading.tone_map import agx
 from tests.preview.windows import bare_picture, drag, encoded, mouse, open_window, press, slide, write_sky
 from tests.shading.test_picture import constant, make_asset, painted_sky
 from tests.shapes import ball
@@ -126,7 +127,7 @@ def test_the_legend_opens_and_closes(opened, key) -> None:
 
 def test_the_keys_of_vtk_do_nothing(opened) -> None:
     before = bare_picture(opened)
-    press(opened, "w", "3", "f", "p", "i", "t", "j", "l", "plus")
+    press(opened, "w", "3", "f", "p", "i", "j", "l", "plus")
     np.testing.assert_array_equal(bare_picture(opened), before)
 
 
@@ -139,6 +140,68 @@ def test_sliders_set_rotation_and_exposure(opened) -> None:
     picture = render_picture(preview.asset, as_lighting(SKY, "y", 90.0), camera_of(opened), samples=4)
     off = np.abs(bare_picture(opened) - encoded(picture.image, -2.0)).max(axis=2)
     assert np.quantile(off[(picture.coverage == 1.0) | (picture.coverage == 0.0)], 0.98) <= 1.0
+
+
+def test_an_exposure_beyond_the_slider_stays(tmp_path) -> None:
+    lights = [write_sky(tmp_path / "sky.exr", SKY)]
+    window = open_window(make_asset(ball(2)), lights, exposure=windows.SLIDER_EXPOSURE + 0.5)
+    press(window, "Up")
+    assert window.view.preview.exposure == windows.SLIDER_EXPOSURE + 1.0
+    assert window.exposure.GetRepresentation().GetValue() == windows.SLIDER_EXPOSURE
+    slide(window.exposure, 1.0)
+    assert window.view.preview.exposure == 1.0
+
+
+def test_agx_is_that_of_a_written_picture(opened) -> None:
+    press(opened, *["Up"] * 6, "t")
+    assert "AgX" in texts_of(opened)
+    picture = render_picture(opened.view.preview.asset, as_lighting(SKY, "y", 0.0), camera_of(opened), samples=4)
+    off = np.abs(bare_picture(opened) - encoded(agx(picture.image, 3.0))).max(axis=2)
+    assert np.quantile(off[(picture.coverage == 1.0) | (picture.coverage == 0.0)], 0.98) <= 1.0
+    press(opened, "v")
+    valid = bare_picture(opened)
+    press(opened, "v", "t", "v")
+    np.testing.assert_array_equal(bare_picture(opened), valid)  # false colours stay as they are
+
+
+@pytest.mark.parametrize(
+    ("keys", "light", "message"),
+    [
+        ("n", "sky.exr", "there is one light"),
+        ("r", "sun:1,2,3", "no reflection: sun:1,2,3 has no sky"),
+        ("b", "sun:1,2,3", "no background: sun:1,2,3 has no sky"),
+        ("er", "sky.exr", "not in this view: e returns"),
+        ("vb", "sky.exr", "not in this view: v returns"),
+        ("ct", "sky.exr", "not in this view: c returns"),
+        ("u", "sky.exr", "no suns"),
+        (["space"], "sky.exr", "there is no reference picture"),
+    ],
+)
+def test_a_key_without_effect_says_why(tmp_path, keys, light, message) -> None:
+    write_sky(tmp_path / "sky.exr", constant())
+    window = open_window(make_asset(ball(2), provenance={"eta": 1.5}), [light])
+    press(window, *keys)
+    assert message in texts_of(window)
+    window.plotter.close()
+
+
+def test_keys_say_that_the_reference_hides_their_effect(tmp_path) -> None:
+    lights = [write_sky(tmp_path / "sky.exr", SKY)]
+    window = open_window(make_asset(ball(2)), lights, reference=np.ones((90, 120, 3), np.float32))
+    press(window, "space", "t")
+    assert "space returns to the object" in texts_of(window)
+    assert window.view.preview.tone_map == "none"
+
+
+def test_the_legend_does_not_lie_over_the_sliders(tmp_path) -> None:
+    lights = [write_sky(tmp_path / "sky.exr", SKY)]
+    for size, together in (((400, 300), True), ((120, 90), False)):
+        window = open_window(make_asset(ball(2)), lights, size)
+        press(window, "h")
+        assert [window.exposure.GetEnabled(), window.rotation.GetEnabled()] == [together, together]
+        press(window, "h")
+        assert [window.exposure.GetEnabled(), window.rotation.GetEnabled()] == [True, True]
+        window.plotter.close()
 
 
 def tick_after(window: Window, path, content: bytes) -> None:
@@ -205,6 +268,7 @@ def test_a_saved_picture_has_no_texts_and_a_new_name(opened, tmp_path) -> None:
     np.testing.assert_array_equal(read_image("ball_1.png"), read_image("ball_2.png"))
     assert "orbit" in texts_of(opened)
     assert opened.overlay.legend.GetVisibility()
+    press(opened, "h")
     assert opened.exposure.GetEnabled()
 
 
@@ -225,7 +289,9 @@ def test_an_asset_made_for_one_light_has_no_rotation_slider() -> None:
     assert not window.rotation.GetEnabled()
     assert window.exposure.GetEnabled()
     before = bare_picture(window)
-    press(window, "Left", "n")
+    for key in ("Left", "n", "r", "b"):
+        press(window, key)
+        assert "made for one light" in texts_of(window) or key == "r", key
     np.testing.assert_array_equal(bare_picture(window), before)
 
 
@@ -272,6 +338,17 @@ def test_the_status_line_shows_that_kernels_are_loading(opened, monkeypatch) -> 
     opened.view.preview._loader.join()
     opened.plotter.iren.interactor.InvokeEvent("TimerEvent")
     assert "loading kernels" not in texts_of(opened)
+
+
+def test_a_window_that_is_destroyed_from_outside_ends(opened, monkeypatch) -> None:
+    ended, destroyed = [], []
+    monkeypatch.setattr(opened, "_quit", lambda: ended.append(True))
+    monkeypatch.setattr(opened, "_destroyed", lambda: bool(destroyed))
+    opened.tick()
+    assert not ended
+    destroyed.append(True)
+    opened.tick()
+    assert ended
 
 
 def test_ctrl_c_closes_the_window_without_an_exception(opened, monkeypatch) -> None:

@@ -218,7 +218,7 @@ def test_sample_and_train_commands_work_together(prtbake: Run, tmp_path):
     sampled = prtbake("sample", "scene.toml", "--count", 600, "-o", tmp_path / "s.h5", "--walks", 2, "--directions", 3)
     assert (sampled.code, sampled.out) == (0, f"{tmp_path}/s.h5: 600 queries of 3 directions, 1,200 paths\n")
     info = prtbake("info", tmp_path / "s.h5")
-    assert "\npaths per query        2\n" in info.out
+    assert "\npaths per query  2\n" in info.out
     assert prtbake("check", tmp_path / "s.h5").code == 0
     alone = ("--no-report", "--no-importance")
     trained = prtbake(

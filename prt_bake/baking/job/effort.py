@@ -40,7 +40,7 @@ def choose_effort(
     if minutes is not None and not refinable:
         raise QueryError(
             f"minutes: only bakes with fibonacci directions of a transport that evaluates Ŝ can run for a time, found "
-            f"{'random walks' if walks else f'{directions} directions'}; give samples or an error instead"
+            f"{'path tracing' if walks else f'{directions} directions'}; give samples or an error instead"
         )
     fixed = samples if samples is not None else DEFAULT_SAMPLES
     unit = "paths" if walks else "directions"

@@ -44,7 +44,7 @@ def choose_samples(job: Job, error: float, directions: str, seed: int) -> tuple[
     vertices = _pilot_vertices(job, seed)
     bins, spent = job.task.bins, 0
     walks = isinstance(job.resolved.sampling, Walks)
-    limit, kind = (MOST_SAMPLES, "walks") if walks else (PILOT_LIMIT, "directions")
+    limit, kind = (MOST_SAMPLES, "paths") if walks else (PILOT_LIMIT, "directions")
     predicted = False
     while True:
         meter, more = _bake_vertices(job, vertices)

@@ -54,7 +54,7 @@ def resolve_sampling(
         raise QueryError(f"samples must be at most {MOST_SAMPLES:,} a bin, found {samples:,}")
     if transport_kind(transport) == "coefficients":
         if samples < 2:
-            raise QueryError("samples must be at least 2 walks a bin, for an error estimate, found 1")
+            raise QueryError("samples must be at least 2 paths a bin, for an error estimate, found 1")
         walks = Walks(degree, samples, lambda vertex: int(hashed(_WALK_STREAM, seed, vertex) >> np.uint64(1)))
         return Resolved(walks, "random walks", samples, "independent walks", None)
     if directions not in get_args(DirectionKind):

@@ -54,7 +54,8 @@ def add_lobes(
         )
     if asset.quantity != "transfer" or any(item.get("item") == "other views" for item in asset.left_out):
         raise QueryError(
-            "asset: it was made for one light or one eye and has no lobes; bake it without for_light and for_eye"
+            "asset: it was made for one light or one camera position and has no lobes; bake it without for_light and "
+            "for_eye"
         )
     refuse_foreign(transport, asset.mesh)
     whole = on_mesh(transport, asset.mesh)

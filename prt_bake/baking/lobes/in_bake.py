@@ -104,7 +104,7 @@ def _reason_against(transport: Any, pruning: Pruning, most: int, minutes: float 
     if pruning.light is not None:
         return "the asset is made for one light"
     if pruning.views == "eye":
-        return "the asset is made for one eye"
+        return "the asset is made for one camera position"
     if minutes == math.inf:
         return "the bake runs until it is stopped; `prtbake lobes` adds them"
     return None

@@ -93,7 +93,7 @@ def choose_pruning(
     kept_degree, channels, signal, evaluations = degree, 3, 0.0, 0
     if eye is not None:
         views, local, outgoing = "eye", np.array([[0.0, 0.0, 1.0]]), _towards(mesh, eye)
-        reason = f"requested for the eye at {eye.tolist()} alone"
+        reason = f"requested for the camera position {eye.tolist()} alone"
         decisions.pruned.append(PrunableItem("other views", reason, _smaller(rings * sectors), "nothing"))
     bins = pilot_bins(local)
     if _pilot_runs(transport, vertices, len(local), bins, degree, light, decisions):
@@ -145,7 +145,7 @@ def _vertices(mesh: Mesh, eye: Array | None, decisions: _Decisions) -> Index:
         where = "from outside it" if eye is None else f"from for_eye {eye.tolist()}"
         raise QueryError(f"mesh: none of its {len(seen)} vertices is visible {where}; nothing would be baked")
     if eye is None:
-        reason = f"{hidden} of {len(seen)} vertices are hidden from every eye outside"
+        reason = f"{hidden} of {len(seen)} vertices cannot be seen from outside"
         decisions.prune("unseen", hidden > 0, reason, f"{hidden / len(seen):.1%} of the bake", "rays")
     return everything[seen]
 
@@ -176,7 +176,7 @@ def _pilot_runs(
     if light is None and pilot_cost > PILOT_SHARE * len(vertices) * views * USUAL_DIRECTIONS:
         reason = "the bake is too small for a pilot"
     elif transport_kind(transport) == "coefficients":
-        reason = "random walks are too noisy for a pilot"
+        reason = "path tracing is too noisy for a pilot"
     else:
         return True
     if wanted:

@@ -133,7 +133,7 @@ def error_budget(
         noise = np.einsum("nkc,kc->nc", sigma**2, light**2).sum()
         squared = max(float(((radiance(exact) - radiance(traced)) ** 2).sum() - noise), 0.0)
         error = float(np.sqrt(squared / (reference**2).sum()))
-        parts.append(Part("the network", error, f"against {WALKS} walks, noise subtracted"))
+        parts.append(Part("the network", error, f"against {WALKS} paths, noise subtracted"))
     parts += _reflected(network, mesh, sky, up, seen, reference, seed)
     parts.sort(key=lambda part: -part.radiance)
     picture = _at(seen, all_parts) - reference

@@ -94,7 +94,7 @@ def report_bake(
     remarks = [
         f"{len(mesh.positions):,} vertices, {rings}×{sectors} view bins, degree {degree}. Measured on one core at "
         f"{bins.count} bins of {len(bins.vertices)} vertices; the reference has {REFERENCE_DIRECTIONS:,} directions a "
-        "bin. A walk counts as an evaluation, and the error of a path-traced bake is its own standard error. Adaptive "
+        "bin. A path counts as an evaluation, and the error of a path-traced bake is its own standard error. Adaptive "
         "bakes cover all bins of these vertices; their pilot is not counted."
     ]
     table, figures, plotted = report_files(out)

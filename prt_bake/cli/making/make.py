@@ -1,96 +1,177 @@
 """`prtbake make`: a scene to an asset and its pictures, in a given time."""
 
 import os
+import shlex
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from formats.errors import MeshError, StorageError
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.next_step import say_next_of_asset
-from prt_bake.cli.shared.options import within
+from prt_bake.cli.shared.options import View
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
-from prt_bake.cli.start.init import MaterialName, ObjectSize, draft_scene, write_scene
+from prt_bake.cli.start.init import MaterialName, ObjectSize, draft_scene, write_draft
 
 if TYPE_CHECKING:
     from formats.scene import Scene
+    from prt_bake.cli.start.scene_draft import SceneDraft
 
+_LEAST_MINUTES = 2.0
+"""What the least of every step takes on two cores, for some thousand vertices."""
 _USUAL_LIGHT = "the shipped sky and a sun behind the object"
 _SUN_BEHIND = {"y": "sun:0.6,0.6,-0.6:2,1.9,1.7:3", "z": "sun:0.6,0.6,0.6:2,1.9,1.7:3"}
 """For each axis that points up: right of, above and behind an object whose front is +z, or -y. Thin parts glow."""
 
 
+def _enough(minutes: float | None) -> float | None:
+    """Refuse a time that the steps cannot keep."""
+    if minutes is not None and not _LEAST_MINUTES <= minutes <= 1e6:
+        raise typer.BadParameter(
+            f"found {minutes:g}; training, bake and pictures take {_LEAST_MINUTES:g} minutes at least, or more with a "
+            "large mesh; 20 are usual"
+        )
+    return minutes
+
+
 def make(
     context: typer.Context,
-    scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene; or a mesh, with --material and --size.")],
+    scene: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SCENE",
+            help="Mesh (.glb, .gltf, .obj, .ply, .stl) with --material and --size; or a scene (.toml).",
+        ),
+    ],
     folder: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder to write to.")],
     minutes: Annotated[
-        float, typer.Option(callback=within(0.0, 1e6), help="Time of everything: training, bake and pictures.")
-    ] = 20.0,
+        float | None,
+        typer.Option(
+            callback=_enough,
+            help="Time of all runs in the folder together, 2 or more; by default 20, or what the folder has. With more "
+            "than it has, the training goes on.",
+            show_default=False,
+        ),
+    ] = None,
+    material: MaterialName = None,
+    size: ObjectSize = None,
     light: Annotated[
         list[str] | None,
         typer.Option(
             "--light", metavar="LIGHT", help="Light of the pictures, as of shade; by default a sky and a sun."
         ),
     ] = None,
-    material: MaterialName = None,
-    size: ObjectSize = None,
+    side: View = None,
+    exposure: Annotated[
+        float, typer.Option(min=-64, max=64, metavar="EV", help="Makes the pictures 2^EV times as bright.")
+    ] = 0.0,
+    tone_map: Annotated[
+        Literal["none", "agx"],
+        typer.Option(help="Of the pictures: agx turns bright light white, as Blender does; none clips it."),
+    ] = "agx",
     force: Annotated[
         bool, typer.Option("--force", help="Make everything anew; removes the files of an earlier run.")
     ] = False,
 ) -> None:
-    """Train, bake and picture a scene, within a given time.
+    """Train, bake and picture an object, within a given time.
+
+    For example: prtbake make skull.glb -o skull --material jade --size 14cm
 
     Writes the model with its report, the asset, a smaller one, a picture, a turntable, and a summary with the errors
     and the commands. The same command continues after a stop; finished steps are not done again.
     """
-    from formats.scene import read_scene
-    from prt_bake.cli.making.page import write_page
-    from prt_bake.cli.making.record import ASSET, PAGE, Record, all_names
+    from prt_bake.cli.making.page import results, write_page
+    from prt_bake.cli.making.record import ASSET, Record, all_names, only_run, refuse_foreign
     from prt_bake.cli.making.steps import Steps, figures
-    from prt_bake.lights.lighting import read_lighting
 
     scene.stat()  # a file that is not there is reported before any folder is made
     refuse_other_kinds({"SCENE": (scene, ("scene", "mesh")), "--light": (light, LIGHT)})
+    path, draft = _scene_file(scene, folder, material, size, force)
+    lights = _lights(light, path, draft)
     check_outputs({"--output": [folder / name for name in all_names()]}, {"SCENE": scene, "--light": light}, folder)
-    path = _scene_file(scene, folder, material, size, force)
-    read = read_scene(path)
-    _refuse_turned(read)
-    lights = light or [str(resources.files("prt_bake.shipped") / "sky.hdr"), _SUN_BEHIND[read.up]]
-    read_lighting(lights, read.up, mesh=read.mesh, say=say)
-    settings = {
-        "scene": path.name,
-        "scene_hash": read.content_hash,
-        "light": ", ".join(light) if light else _USUAL_LIGHT,
-        "minutes": minutes,
-    }
-    record = Record.open(folder, settings, force)
-    Steps(context, record, path, _short(read.mesh_path), lights).run()
-    record.figures = figures(folder)
-    record.write()
-    write_page(record)
-    print(f"{folder / PAGE}: error of the coefficients {record.figures['error of the coefficients']}")
-    say_next_of_asset(folder / ASSET)
+    with only_run(folder):
+        if draft is not None:
+            if not force:
+                refuse_foreign(folder)
+            write_draft(draft)
+        read = _read(path)
+        settings = {"scene": path.name, "scene_hash": read.content_hash}
+        options = ["--tone-map", tone_map, *(["--exposure", f"{exposure:g}"] if exposure else [])]
+        options += ["--view", side] if side else []
+        pictures = {"light": ", ".join(light) if light else _USUAL_LIGHT, "options": options}
+        record = Record.open(folder, settings, pictures, minutes, force)
+        Steps(context, record, path, _short(read.mesh_path), lights).run()
+        record.figures = figures(folder)
+        record.write()
+        write_page(record)
+    print("\n".join(results(record)))
+    say_next_of_asset(folder / ASSET, "--reflection", lights=light or ())
 
 
-def _scene_file(scene: Path, folder: Path, material: str | None, size: str | None, force: bool) -> Path:
-    """Return the scene; of a mesh, the one in the folder, which is written if it is not there."""
+def _scene_file(
+    scene: Path, folder: Path, material: str | None, size: str | None, force: bool
+) -> tuple[Path, "SceneDraft | None"]:
+    """Return the scene, and its draft if it is that of a mesh and is not yet in the folder."""
     from formats.mesh import READABLE
 
     if scene.suffix.lower() not in READABLE:
         if material is not None or size is not None:
             raise typer.BadParameter("--material and --size are for meshes; a scene has its own, in [medium] and unit")
-        return scene
+        return scene, None
     path = folder / f"{scene.stem}.toml"
     if path.exists() and not force:
         _refuse_other_scene(path, scene, material, size)
         say(f"{path}: is there already, and is used; --force writes it anew")
-    else:
-        write_scene(scene, material, size, path, "y", force)
-    return path
+        return path, None
+    draft = draft_scene(scene, material, size, path, "y")
+    if size is None:
+        _refuse_opaque(draft, folder)
+    return path, draft
+
+
+def _refuse_opaque(draft: "SceneDraft", folder: Path) -> None:
+    """Raise typer.BadParameter if an object whose size nobody has given would look like stone."""
+    if not draft.light.opaque:
+        return
+    from prt_bake.inspection.translucency import translucent_size
+
+    name = draft.material.name
+    words = (
+        "prtbake",
+        "make",
+        draft.mesh_path,
+        "-o",
+        folder,
+        "--material",
+        name,
+        "--size",
+        translucent_size(draft.light),
+    )
+    raise typer.BadParameter(
+        f"{draft.mesh_path}: at {draft.light.size:.4g} mm, no light crosses {name}, and the object would look like "
+        f"stone; give its size, such as: {shlex.join(map(str, words))} (--size {draft.light.size:.4g}mm keeps it)"
+    )
+
+
+def _lights(light: list[str] | None, path: Path, draft: "SceneDraft | None") -> list[str]:
+    """Return the lights of the pictures, which can be read."""
+    from prt_bake.lights.lighting import read_lighting
+
+    shown = draft or _read(path)
+    lights = light or [str(resources.files("prt_bake.shipped") / "sky.hdr"), _SUN_BEHIND[shown.up]]
+    read_lighting(lights, shown.up, mesh=shown.mesh, say=say)
+    return lights
+
+
+def _read(path: Path) -> "Scene":
+    from formats.scene import read_scene
+
+    scene = read_scene(path)
+    _refuse_turned(scene)
+    return scene
 
 
 def _refuse_other_scene(path: Path, mesh: Path, material: str | None, size: str | None) -> None:

@@ -3,7 +3,9 @@
 from collections.abc import Iterator
 
 from formats.atomic import replacing
-from prt_bake.cli.making.record import ASSET, PAGE, PICTURE, SUMMARY, TURNTABLE, Record
+from prt_bake.cli.making.record import ASSET, COMPACT, MODEL, PAGE, PICTURE, SUMMARY, TURNTABLE, Record
+from prt_bake.cli.making.steps import COMPRESSION_ERROR
+from prt_bake.cli.shared.lobes import lobes_sentence
 from prt_bake.cli.shared.progress import in_words
 
 
@@ -13,26 +15,44 @@ def write_page(record: Record) -> None:
         part.write_text("\n".join(_lines(record)) + "\n", encoding="utf-8")
 
 
+def results(record: Record) -> Iterator[str]:
+    """Yield what was made, and what each file is for."""
+    uses = {
+        PICTURE: "a picture",
+        TURNTABLE: "a turntable",
+        ASSET: "the asset, for `prtbake view`, `prtbake shade` and Python",
+        COMPACT: f"the same asset, to pass on: at most {100.0 * COMPRESSION_ERROR:g} % off, and read by every command",
+    }
+    yield f"{record.folder / PAGE}: error of the asset {record.figures['error of the coefficients']}"
+    yield from (
+        f"{record.folder / name}: {size}, {uses[name]}" for name, size in record.sizes().items() if name in uses
+    )
+
+
 def _lines(record: Record) -> Iterator[str]:
-    minutes, files = record.settings["minutes"], {file for step in record.steps for file in step.files}
+    sizes = record.sizes()
     yield f"# {record.settings['scene']}"
     yield ""
-    yield f"Made in {in_words(record.seconds)} of {in_words(60.0 * minutes)}, under {record.settings['light']}."
+    yield f"Made in {in_words(record.spent)} of {in_words(60.0 * record.minutes)}, under {record.pictures['light']}."
     yield ""
-    yield from (f"![{name}]({name})" for name in (PICTURE, TURNTABLE) if name in files)
+    yield from (f"![{name}]({name})" for name in (PICTURE, TURNTABLE) if name in sizes)
     yield ""
-    yield f"* Error of the coefficients {record.figures['error of the coefficients']}"
+    yield f"* Error of the asset {record.figures['error of the coefficients']}"
     yield (
         f"* {record.figures['vertices']:,} vertices, {record.figures['view bins']:,} view bins, harmonics of degree "
         f"{record.figures['degree']}; all figures: {SUMMARY}"
     )
-    yield "* A longer training lowers the error of the network, which usually is the largest; docs/training.md"
+    yield (
+        "* A longer training lowers the error of the network, which usually is the largest: the same `prtbake make` "
+        "with more `--minutes` trains on"
+    )
+    yield f"* {_lobes(record)}"
     yield ""
     yield "| step | time | files |"
     yield "|---|---|---|"
     for step in record.steps:
-        sizes = ", ".join(f"{file} ({_size(size)})" for file, size in step.files.items())
-        yield f"| {step.name} | {in_words(step.seconds)} | {sizes or step.note} |"
+        files = ", ".join(f"{file} ({sizes[file]})" for file in step.files)
+        yield f"| {step.name} | {in_words(step.seconds)} | {files or step.note} |"
     yield ""
     yield "The same by hand:"
     yield ""
@@ -41,5 +61,8 @@ def _lines(record: Record) -> Iterator[str]:
     yield f"To look at it: `prtbake view {ASSET}` in this folder."
 
 
-def _size(count: int) -> str:
-    return f"{count / 1e6:,.1f} MB" if count >= 1e5 else f"{count / 1e3:,.1f} kB"
+def _lobes(record: Record) -> str:
+    """What the asset has of narrow light, and how to add it."""
+    entry = record.figures["lobes"]
+    added = "" if entry["lobes_in_a_view"] else f"; `prtbake lobes {MODEL} {ASSET}` adds them, if they gain anything"
+    return f"Narrow light ({lobes_sentence(entry).replace(': ', '): ', 1)}{added}"

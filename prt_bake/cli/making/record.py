@@ -1,20 +1,29 @@
 """What `prtbake make` has done in a folder: `summary.json`, written after every step."""
 
+import contextlib
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
+from filelock import FileLock, Timeout
+
 from formats.errors import FormatError, StorageError
 from formats.journal import journal_folder
 from formats.json_report import write_report
+from prt_bake.cli.shared.progress import in_words
 from prt_bake.network.file_names import importance_path, report_paths, state_path
 
 MODEL, ASSET, COMPACT = "model.pt", "asset.h5", "compact.h5"
 PICTURE, TURNTABLE = "picture.png", "turntable.webp"
 SUMMARY, PAGE = "summary.json", "summary.md"
+USUAL_MINUTES = 20.0
+_LOCK = "make.lock"
+PICTURES = ("picture", "turntable")
+"""The steps that depend on the settings of the pictures."""
 
 
 @dataclass(frozen=True)
@@ -34,34 +43,44 @@ class Record:
 
     Attributes:
         folder: where everything is written.
-        settings: what the files depend on; plain JSON values.
+        settings: what all files depend on; plain JSON values.
+        pictures: what the pictures depend on as well: their "light" in words, and "options" of `prtbake shade`.
+        minutes: time of everything that is made in the folder, by however many runs.
+        spent: seconds of all runs so far.
         steps: the finished ones.
-        planned: numbers that a resumed step needs again, such as the time of the bake.
+        unfinished: seconds that interrupted runs gave to a step that can be resumed.
         figures: errors and counts of the result.
     """
 
     folder: Path
     settings: dict[str, Any]
+    pictures: dict[str, Any]
+    minutes: float = USUAL_MINUTES
+    spent: float = 0.0
     steps: list[Step] = field(default_factory=list)
-    planned: dict[str, Any] = field(default_factory=dict)
+    unfinished: dict[str, float] = field(default_factory=dict)
     figures: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def open(cls, folder: Path, settings: Mapping[str, Any], force: bool) -> Self:
+    def open(
+        cls, folder: Path, settings: Mapping[str, Any], pictures: Mapping[str, Any], minutes: float | None, force: bool
+    ) -> Self:
         """Return the record of a folder, or begin one.
 
-        Raises StorageError if the folder holds files of these names that are of other settings, or were not made by
-        `prtbake make`, unless `force`, which removes them.
+        Without `minutes` a folder keeps its time. With more than it had the training continues, and what follows is
+        made anew. Other pictures are made anew alone. Raises StorageError if the folder holds files of these names that
+        are of other settings, or were not made by `prtbake make`, unless `force`, which removes them.
         """
-        wanted = json.loads(json.dumps(dict(settings)))
         if force:
             for path in _all_files(folder):
                 shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
         if (folder / SUMMARY).is_file():
-            return cls._read(folder, wanted)
-        if found := [path for path in _all_files(folder) if path.exists()]:
-            raise StorageError(f"{found[0]}: already exists; choose another folder, or add --force to replace it")
-        record = cls(folder, wanted)
+            record = cls._read(folder, dict(settings))
+            record._extend(minutes)
+            record._change_pictures(dict(pictures))
+        else:
+            refuse_foreign(folder)
+            record = cls(folder, dict(settings), dict(pictures), minutes or USUAL_MINUTES)
         record.write()
         return record
 
@@ -71,9 +90,9 @@ class Record:
         again = "choose another folder, or add --force to make everything anew"
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
-            steps = [Step(**step) for step in content["steps"]]
-            record = cls(folder, content["settings"], steps, content["planned"], content["figures"])
-        except (ValueError, KeyError, TypeError) as cause:
+            steps = [Step(**step) for step in content.pop("steps")]
+            record = cls(folder, steps=steps, **content)
+        except (ValueError, KeyError, TypeError, AttributeError) as cause:
             raise FormatError(f"{path}: was not written by `prtbake make`, or is damaged; {again}") from cause
         for name, value in wanted.items():
             if record.settings.get(name) != value:
@@ -81,6 +100,28 @@ class Record:
                     f"{folder}: was made with {name} {record.settings.get(name)!r}, found {value!r}; {again}"
                 )
         return record
+
+    def _extend(self, minutes: float | None) -> None:
+        if minutes is None or minutes == self.minutes:
+            return
+        if minutes < self.minutes:
+            raise StorageError(
+                f"{self.folder}: was made for {self.minutes:g} minutes, found --minutes {minutes:g}; omit it to keep "
+                "the time, ask for more to train on, or add --force to make everything anew"
+            )
+        if 60.0 * minutes <= self.spent:
+            raise StorageError(
+                f"{self.folder}: has taken {in_words(self.spent)} already, found --minutes {minutes:g}; ask for "
+                "more, or omit it"
+            )
+        self.minutes = minutes
+        self.unfinished |= {step.name: step.seconds for step in self.steps if step.name == "train"}
+        self.steps = []
+
+    def _change_pictures(self, pictures: dict[str, Any]) -> None:
+        if pictures != self.pictures:
+            self.pictures = pictures
+            self.steps = [step for step in self.steps if step.name not in PICTURES]
 
     def finished(self, name: str) -> Step | None:
         """Return the step if it is finished, was not left out, and its files are as it left them."""
@@ -101,20 +142,50 @@ class Record:
         self.write()
 
     @property
-    def seconds(self) -> float:
-        """Time of all finished steps."""
-        return sum(step.seconds for step in self.steps)
+    def kept(self) -> float:
+        """Seconds of all runs that went into finished steps, or into a training that can be resumed."""
+        return sum(step.seconds for step in self.steps) + self.unfinished.get("train", 0.0)
+
+    def sizes(self) -> dict[str, str]:
+        """The files of the finished steps, each with its size in words."""
+        return {file: _in_bytes(size) for step in self.steps for file, size in step.files.items()}
 
     def write(self) -> None:
         """Write `summary.json`."""
         content = {
             "settings": self.settings,
-            "seconds": round(self.seconds, 1),
+            "pictures": self.pictures,
+            "minutes": self.minutes,
+            "spent": round(self.spent, 1),
             "figures": self.figures,
             "steps": [asdict(step) for step in self.steps],
-            "planned": self.planned,
+            "unfinished": self.unfinished,
         }
         write_report(content, self.folder / SUMMARY)
+
+
+@contextmanager
+def only_run(folder: Path) -> Iterator[None]:
+    """Context in which no other `prtbake make` works in the folder. Raises StorageError if one does."""
+    lock = FileLock(folder / _LOCK, timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise StorageError(
+            f"{folder}: another `prtbake make` works in this folder; wait until it ends, or choose another folder"
+        ) from None
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            (folder / _LOCK).unlink(missing_ok=True)
+        lock.release()
+
+
+def refuse_foreign(folder: Path) -> None:
+    """Raise StorageError if the folder has no summary, but files of the names that `prtbake make` writes."""
+    if not (folder / SUMMARY).is_file() and (found := [path for path in _all_files(folder) if path.exists()]):
+        raise StorageError(f"{found[0]}: already exists; choose another folder, or add --force to replace it")
 
 
 def model_files() -> list[str]:
@@ -133,3 +204,7 @@ def _all_files(folder: Path) -> list[Path]:
 
 def _size(path: Path) -> int | None:
     return path.stat().st_size if path.is_file() else None
+
+
+def _in_bytes(count: int) -> str:
+    return f"{count / 1e6:,.1f} MB" if count >= 1e5 else f"{count / 1e3:,.1f} kB"

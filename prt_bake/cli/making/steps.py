@@ -1,14 +1,16 @@
 """The steps of `prtbake make`, and how they share its time.
 
-Training takes 60 % of the time, the bake what is left until 85 %, pictures and compression the rest.
+Training takes 55 % of the time, the bake what is left until 90 %, pictures and compression the rest. Time that
+interrupted runs lost is taken from all of them.
 """
 
+import contextlib
+import io
 import math
 import os
 import shlex
 import shutil
 import time
-from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -22,18 +24,20 @@ from prt_bake.cli.shared.next_step import without_next
 from prt_bake.cli.shared.progress import in_words, reporting, say
 from prt_bake.network.file_names import state_path
 
-TRAINING, REST = 0.6, 0.15
+TRAINING, REST = 0.55, 0.1
 """Shares of the time for the training, and for all that follows the bake."""
 _LEAST_SHARE, _LEAST_SECONDS = 0.1, 30.0
 """Time that the bake has at least, however long the training took: its first pass must end, or nothing is written."""
+_LEAST_USABLE = 0.5
+"""Share of the time by which steps are planned, however much of it interrupted runs lost."""
 _OVERRUN = 0.05
 """Share of the time by which the last steps may exceed it."""
-_BAKE_ERROR, _COMPRESSION_ERROR = 0.02, 0.005
+_BAKE_ERROR, COMPRESSION_ERROR = 0.02, 0.005
 _COARSE = ("--rings", "4", "--sectors", "8", "--samples", "18", "--lobes", "0")
 """A bake that takes seconds, for slow machines whose time is over before an adaptive bake has its first pass."""
-_PICTURE_SIDE, _TURNTABLE_SIDE = 512, 384
-_FRAMES = (8, 36)
-_FRAMES_A_SECOND = 12
+_PICTURE_SIDE, _TURNTABLE_SIDE, _TURNTABLE_SAMPLES = 512, 256, 2
+_FRAMES, _TURN_SECONDS = (12, 72), 3.0
+"""Least and most frames of a turn: 4 and 24 a second."""
 
 
 class _OutOfTimeError(Exception):
@@ -44,14 +48,15 @@ class Steps:
     """Runs the steps that a folder does not have yet."""
 
     def __init__(self, context: typer.Context, record: Record, scene: Path, mesh: Path, lights: list[str]) -> None:
-        """`record.settings` has the time in minutes. Later runs have what finished steps left, or a part."""
+        """`record` has the settings, the time, and what earlier runs spent of it."""
         self._root = context.find_root().command
         self._record, self._scene, self._mesh, self._lights = record, scene, mesh, lights
-        self._total = 60.0 * float(record.settings["minutes"])
-        self._deadline = 0.0
+        self._total = 60.0 * record.minutes
+        self._began, self._before = time.monotonic(), record.spent
+        self._deadline = self._began + max(REST * self._total, self._total - self._before)
 
     def run(self) -> None:
-        """Run all steps, each of which is recorded in the folder; after one that is not finished, all later ones."""
+        """Run all steps that are not finished, each of which is recorded in the folder."""
         steps = {
             "train": self._train,
             "bake": self._bake,
@@ -59,41 +64,47 @@ class Steps:
             "turntable": self._turntable,
             "compress": self._compress,
         }
-        finished = list(takewhile(lambda step: step is not None, map(self._record.finished, steps)))
-        self._record.steps = [step for step in finished if step is not None]
-        self._deadline = time.monotonic() + max(REST * self._total, self._total - self._record.seconds)
+        names = self._unfinished(list(steps))
+        self._record.steps = [step for step in self._record.steps if step.name not in names]
         for step in self._record.steps:
             say(f"{step.name}: done already, in {in_words(step.seconds)}")
-        for name in list(steps)[len(finished) :]:
+        for name in names:
             try:
                 steps[name]()
             except (PrtbakeError, KeyboardInterrupt, typer.Exit):
                 say(f"{name} was not finished; the same `prtbake make` continues there")
                 raise
+            finally:
+                self._record.spent = self._before + time.monotonic() - self._began
+                self._record.write()
+
+    def _unfinished(self, names: list[str]) -> list[str]:
+        """Return the steps to do: everything depends on the model and the asset, and nothing on the pictures."""
+        unfinished = [name for name in names if self._record.finished(name) is None]
+        first = names.index(unfinished[0]) if unfinished else len(names)
+        return names[first:] if first < names.index("picture") else unfinished
 
     def _train(self) -> None:
         model = self._file(MODEL)
-        arguments = ["train", str(self._scene), "-o", model, "--minutes", _minutes(TRAINING * self._total)]
-        resume = ["--resume"] if state_path(model).is_file() else []
-        self._run("train", arguments, model_files(), resume)
+        lost = self._record.spent - self._record.kept
+        usable = max(self._total - lost, _LEAST_USABLE * self._total)
+        arguments = ["train", str(self._scene), "-o", model, "--minutes", _minutes(TRAINING * usable)]
+        self._run("train", arguments, model_files(), state_path(Path(model)))
+        shutil.rmtree(journal_folder(self._file(ASSET)), ignore_errors=True)  # of a bake of an earlier model
+        say(f"{model}: {_quality(model)}")
 
     def _bake(self) -> None:
         asset = self._file(ASSET)
-        resume = journal_folder(asset).is_dir() and "bake" in self._record.planned
-        if not resume:  # a bake with another time cannot be resumed
-            left = self._left() - REST * self._total
-            self._record.planned["bake"] = _minutes(max(left, _LEAST_SHARE * self._total, _LEAST_SECONDS))
-            self._record.write()
+        minutes = _minutes(max(self._left() - REST * self._total, _LEAST_SHARE * self._total, _LEAST_SECONDS))
         arguments = ["bake", self._file(MODEL), str(self._mesh), "-o", asset, "--workers", str(os.cpu_count() or 1)]
-        planned = self._record.planned["bake"]
-        within = ["--error", f"{_BAKE_ERROR:g}", "--minutes", planned]
-        latest = time.monotonic() + 60.0 * float(planned)
+        latest = time.monotonic() + 60.0 * float(minutes)
         try:
-            self._run("bake", [*arguments, *within], [ASSET], ["--resume"] if resume else [])
+            within = ["--error", f"{_BAKE_ERROR:g}", "--minutes", minutes]
+            self._run("bake", [*arguments, *within], [ASSET], journal_folder(asset))
         except PrtbakeError:
             if time.monotonic() < latest or _is_complete(Path(asset)):
                 raise
-            say(f"bake: not all vertices were ready after {planned} minutes; a coarse bake follows, of fewer views")
+            say(f"bake: not all vertices were ready after {minutes} minutes; a coarse bake follows, of fewer views")
             self._run("bake", [*arguments, *_COARSE], [ASSET])
 
     def _picture(self) -> None:
@@ -101,16 +112,11 @@ class Steps:
 
     def _turntable(self) -> None:
         seconds = _frame_seconds(Path(self._file(ASSET)), self._lights)
-        frames = math.floor(min(_FRAMES[1], 0.5 * self._left() / max(seconds, 1e-3)))
-        arguments = [
-            *self._shade(TURNTABLE, _TURNTABLE_SIDE),
-            "--turntable",
-            "eye",
-            "--frames",
-            str(max(frames, _FRAMES[0])),
-        ]
-        arguments += ["--seconds", f"{max(frames, _FRAMES[0]) / _FRAMES_A_SECOND:.3g}"]
-        if _FRAMES[0] * seconds > self._left() + _OVERRUN * self._total:
+        least, most = _FRAMES
+        frames = max(least, math.floor(min(most, 0.5 * self._left() / max(seconds, 1e-3))))
+        arguments = [*self._shade(TURNTABLE, _TURNTABLE_SIDE), "--samples", str(_TURNTABLE_SAMPLES)]
+        arguments += ["--turntable", "eye", "--frames", str(frames), "--seconds", f"{_TURN_SECONDS:g}"]
+        if least * seconds > self._left() + _OVERRUN * self._total:
             self._skip("turntable", arguments)
         else:
             self._run("turntable", arguments, [TURNTABLE])
@@ -120,7 +126,7 @@ class Steps:
         from prt_bake.baking.compress import compress_file
 
         asset, compact = self._file(ASSET), self._file(COMPACT)
-        arguments = ["compress", asset, "-o", compact, "--error", f"{_COMPRESSION_ERROR:g}"]
+        arguments = ["compress", asset, "-o", compact, "--error", f"{COMPRESSION_ERROR:g}"]
         latest = self._deadline + _OVERRUN * self._total
         self._announce("compress", arguments)
         began = time.monotonic()
@@ -132,7 +138,7 @@ class Steps:
                     if time.monotonic() > latest:
                         raise _OutOfTimeError
 
-                compress_file(Path(asset), Path(compact), _COMPRESSION_ERROR, show_until_the_end, _text(arguments))
+                compress_file(Path(asset), Path(compact), COMPRESSION_ERROR, show_until_the_end, _text(arguments))
         except _OutOfTimeError:
             self._skip("compress", arguments)
             return
@@ -140,23 +146,37 @@ class Steps:
 
     def _shade(self, name: str, side: int) -> list[str]:
         lights = [word for light in self._lights for word in ("--light", light)]
-        return ["shade", self._file(ASSET), *lights, "--reflection", "--size", f"{side}x{side}", "-o", self._file(name)]
+        options = self._record.pictures["options"]
+        size = ["--size", f"{side}x{side}"]
+        return ["shade", self._file(ASSET), *lights, "--reflection", *options, *size, "-o", self._file(name)]
 
-    def _run(self, name: str, arguments: list[str], files: list[str], resume: list[str] | None = None) -> None:
-        """Run a command and record it; files that an earlier try left are replaced, unless it is resumed."""
-        self._announce(name, [*arguments, *(resume or [])])
+    def _run(self, name: str, arguments: list[str], files: list[str], state: Path | None = None) -> None:
+        """Run a command and record it; files that an earlier try left are replaced, unless `state` exists.
+
+        state: of an interrupted run of the command, which --resume continues.
+        """
+        resume = ["--resume"] if state is not None and state.exists() else []
+        self._announce(name, [*arguments, *resume])
+        before = self._record.unfinished.pop(name, 0.0)
         if not resume:
+            before = 0.0
             for path in map(self._record.folder.joinpath, files):
                 path.unlink(missing_ok=True)
                 shutil.rmtree(journal_folder(path), ignore_errors=True)
         began = time.monotonic()
-        words = [*arguments, *(resume or [])]
-        with without_next():
-            # Without the standalone mode a command returns its exit code, such as 130 after Ctrl-C.
-            code = self._root.main(args=words, prog_name="prtbake", obj=_text(words), standalone_mode=False)
-        if code or (code := signals.exit_code(0)):  # a command that was stopped may end as if it were finished
-            raise typer.Exit(code)
-        self._record.add(name, _text(arguments), time.monotonic() - began, files)
+        words = [*arguments, *resume]
+        try:
+            # The page has what these commands print, in other words. Without the standalone mode a command returns its
+            # exit code, such as 130 after Ctrl-C.
+            with without_next(), contextlib.redirect_stdout(io.StringIO()):
+                code = self._root.main(args=words, prog_name="prtbake", obj=_text(words), standalone_mode=False)
+            if code or (code := signals.exit_code(0)):  # a command that was stopped may end as if it were finished
+                raise typer.Exit(code)
+        except (PrtbakeError, KeyboardInterrupt, typer.Exit):
+            if state is not None and state.exists():
+                self._record.unfinished[name] = before + time.monotonic() - began
+            raise
+        self._record.add(name, _text(arguments), before + time.monotonic() - began, files)
 
     def _announce(self, name: str, arguments: list[str]) -> None:
         say(f"{name}, {in_words(max(0.0, self._left()))} left of {in_words(self._total)}: {_text(arguments)}")
@@ -183,8 +203,16 @@ def _frame_seconds(asset: Path, lights: list[str]) -> float:
     lighting = read_lighting(lights, baked.up, mesh=baked.mesh)
     for side in (8, _TURNTABLE_SIDE):
         began = time.monotonic()
-        render_picture(baked, lighting, camera.fit(baked.mesh, side, side, up=baked.up), reflection=True)
+        view = camera.fit(baked.mesh, side, side, up=baked.up)
+        render_picture(baked, lighting, view, reflection=True, samples=_TURNTABLE_SAMPLES)
     return time.monotonic() - began
+
+
+def _quality(model: str) -> str:
+    from prt_bake.cli.shared.after_training import quality_of
+    from prt_bake.network.bssrdf import load_model
+
+    return quality_of(load_model(model))
 
 
 def _is_complete(asset: Path) -> bool:
@@ -212,4 +240,5 @@ def figures(folder: Path) -> dict[str, Any]:
         "vertices": len(asset.mesh.positions),
         "view bins": asset.rings * asset.sectors,
         "degree": asset.degree,
+        "lobes": asset.provenance["lobes"],
     }

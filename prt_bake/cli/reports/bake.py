@@ -53,9 +53,9 @@ def bake(
     from prt_bake.baking.report.report import report_bake, report_files
 
     inputs = {"SOURCE": source, "MESH": mesh, "--scene": scene, "--light": light}
-    check_outputs({"--out": report_files(out)}, inputs, folder=out)
     require("report bake", *EVALUATE)
     refuse_other_kinds({"SOURCE": (source, SOURCE), "MESH": (mesh, ("mesh",)), "--scene": (scene, ("scene",))})
+    check_outputs({"--out": report_files(out)}, inputs, folder=out)
     from formats.mesh import read_mesh
     from formats.scene import read_scene
     from prt_bake.baking.sources import open_source

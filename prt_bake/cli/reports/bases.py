@@ -34,9 +34,9 @@ def bases(
     if twice:
         raise typer.BadParameter(f"--light: expected skies of different names, found {min(twice)} twice; omit one")
     inputs = {"SOURCE": source, "MESH": mesh} | {f"--light {sky}": sky for sky in light}
-    check_outputs({"--out": report_files(out)}, inputs, folder=out)
     require("report bases", *EVALUATE)
     refuse_other_kinds({"SOURCE": (source, SOURCE), "MESH": (mesh, ("mesh",)), "--light": (light, ("sky",))})
+    check_outputs({"--out": report_files(out)}, inputs, folder=out)
     from formats.mesh import read_mesh
     from prt_bake.baking.sources import open_source
     from prt_bake.lights.environment import read_environment

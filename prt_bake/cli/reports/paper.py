@@ -74,15 +74,16 @@ def paper(
     from prt_bake.paper.artefacts import Stopped
     from prt_bake.paper.report import FILES, PaperReport, sky_files
     from prt_bake.paper.results import TITLES, Result
-    from prt_bake.paper.scenes import select_scenes
+    from prt_bake.paper.scenes import scenes_folder, select_scenes
     from prt_bake.paper.settings import ReportSettings
     from prt_bake.paper.times import summary
 
     require("report paper", *EVALUATE)
     require_device(device)
-    folder = scenes or Path(__file__).parents[2] / "scenes"
-    check_outputs({"--out": [out / name for name in FILES]}, {"--sky": sky}, folder=out)
+    folder = scenes_folder(scenes)
     selected = select_scenes(scene or (["dragon"] if layers or times else []))
+    skies = sky_files(sky or (["outdoor"] if times else []), folder)
+    check_outputs({"--out": [out / name for name in FILES]}, {"--sky": sky}, folder=out)
     settings = ReportSettings(
         size=size,
         spp=spp,
@@ -107,11 +108,10 @@ def paper(
                 for name, errors in report.run_layers(selected).items():
                     print(f"{name}: " + ", ".join(f"{network} {error:.3f}" for network, error in errors.items()))
             if times:
-                skies = sky_files(sky or ["outdoor"], folder)
                 for name, rows in report.run_times(selected, skies).items():
                     print(summary(name, rows))
             if not (layers or times):
-                report.run(selected, sky_files(sky or [], folder), print_result)
+                report.run(selected, skies, print_result)
         except Stopped as stopped:
             raise PrtbakeError(str(stopped)) from None
         finally:

@@ -1,7 +1,6 @@
 """Files of another kind than a command expects: which kind they are, and the command that they are for."""
 
 import shlex
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
@@ -25,31 +24,37 @@ _NAMES = {
 }
 _REMEDIES = {
     ("asset", "model"): "bake it first: prtbake bake {file} MESH -o {h5}",
-    ("asset", "scene"): "train a model on it first: prtbake train {file} -o {pt}",
     ("asset", "mesh"): "begin with a scene of it: prtbake init {file} --material NAME",
+    ("scene", "mesh"): "begin with a scene of it: prtbake init {file} --material NAME",
+    ("asset", "scene"): "train a model on it first: prtbake train {file} -o {pt}",
     ("source", "asset"): "it is baked already; show it: prtbake view {file}",
     (
         "source",
         "mesh",
     ): "the mesh comes second; without a scene begin with: prtbake init {file} --material NAME",
-    ("scene", "mesh"): "begin with a scene of it: prtbake init {file} --material NAME",
     ("scene", "model"): "it is trained already; bake it: prtbake bake {file} MESH -o {h5}",
     ("scene", "asset"): "it is baked already; show it: prtbake view {file}",
     ("model", "scene"): "train one on it first: prtbake train {file} -o {pt}",
+    ("model", "asset"): "give the model that it was baked from",
     ("mesh", "scene"): "give the mesh that the scene names",
-    ("mesh", "model"): "the model comes first, then the mesh",
+    ("mesh", "model"): "give the mesh that it was trained on",
     ("mesh", "asset"): "give the mesh that it was baked on",
     ("sky", "asset"): "make a picture of it first: prtbake shade {file} --light SKY -o {exr}",
-    ("light", "mesh"): "only pictures, lights files and lights such as sun:0,1,0 can be lights",
     ("light", "scene"): "its lights must be in a file of their own",
-    ("light", "asset"): "the asset comes before --light",
+    ("light", "asset"): "light it: prtbake shade {file} --light SKY -o {png}",
 }
 _OF_THE_FOUND = {
-    "sky": "give it as --light",
-    "lights": "give it as --light",
+    "sky": "a picture can be the light: prtbake shade ASSET --light {file} -o PICTURE.png",
+    "lights": "light an asset with it: prtbake shade ASSET --light {file} -o PICTURE.png",
     "samples": "train with them: prtbake train SCENE.toml --samples {file} -o MODEL.pt",
-    "importance": "`prtbake render` finds it beside its model; give the model or its asset",
-    "checkpoint": "--resume reads it; give the model beside it",
+    "importance": "`prtbake render` finds it beside its model, {of_model}",
+    "checkpoint": "prtbake train --resume reads it; its model is {of_checkpoint}",
+}
+_OF_THE_EXPECTED = {
+    "model": "train one: prtbake train SCENE.toml -o MODEL.pt",
+    "sky": "a picture is a .exr, .hdr, .png or .jpg file",
+    "light": "only pictures, lights files and lights such as sun:0,1,0 can be lights",
+    "samples": "make some: prtbake sample SCENE.toml --count N -o SAMPLES.h5",
 }
 
 
@@ -79,9 +84,19 @@ def _role(kinds: tuple[str, ...]) -> str:
 
 
 def _remedy(role: str, found: str, path: Path) -> str:
-    text = _REMEDIES.get((role, found)) or _OF_THE_FOUND.get(found) or "give a file of that kind"
-    named = {suffix: shlex.quote(f"{path.stem}.{suffix}") for suffix in ("h5", "pt", "exr")}
-    return text.format(file=shlex.quote(str(path)), **named)
+    text = _REMEDIES.get((role, found)) or _OF_THE_FOUND.get(found) or _OF_THE_EXPECTED[role]
+    named = {suffix: shlex.quote(f"{path.stem}.{suffix}") for suffix in ("h5", "pt", "exr", "png")}
+    return text.format(
+        file=shlex.quote(str(path)),
+        of_model=_beside(path, ".importance"),
+        of_checkpoint=_beside(path, ".train"),
+        **named,
+    )
+
+
+def _beside(path: Path, mark: str) -> str:
+    """Return the model that a file such as NAME.train.pt lies beside."""
+    return shlex.quote(str(path.with_name(path.stem.removesuffix(mark) + path.suffix)))
 
 
 def _paths(paths: Path | str | Iterable[Path | str] | None) -> Iterator[Path]:
@@ -95,20 +110,12 @@ def _paths(paths: Path | str | Iterable[Path | str] | None) -> Iterator[Path]:
 
 def _kind(path: Path) -> str | None:
     """Return the kind of a file; None if it is not evident."""
-    from prt_bake.inspection.files import kind_of
+    from prt_bake.inspection.files import CHECKPOINT, kind_of, kind_of_toml
 
-    if path.name.lower().endswith(".train.pt"):
+    if path.name.lower().endswith(CHECKPOINT):
         return "checkpoint"
     try:
         kind = kind_of(path)
     except (PrtbakeError, OSError):
         return None
-    return kind if kind != "scene" else _kind_of_toml(path)
-
-
-def _kind_of_toml(path: Path) -> str | None:
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    return "scene" if "object" in tables else "lights" if tables.keys() & {"sky", "directional", "sphere"} else None
+    return kind_of_toml(path) if path.suffix.lower() == ".toml" else kind

@@ -3,10 +3,13 @@
 import os
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
+from itertools import chain, count
 from pathlib import Path
+
+from formats.errors import PrtbakeError
 
 _silent = False
 
@@ -28,16 +31,50 @@ def without_next() -> Iterator[None]:
         _silent = False
 
 
-def say_next_of_asset(asset: Path) -> None:
-    """Print the command that shows an asset: in a window, without a display in a file, without PyVista by `shade`."""
-    picture = asset.with_suffix(".png")
-    if picture.exists():
-        picture = asset.with_name(f"{asset.stem}.view.png")
+def unused(path: Path) -> Path:
+    """Return the path, or the first of NAME_2, NAME_3, … if it exists: commands do not replace files unasked."""
+    others = (path.with_name(f"{path.stem}_{number}{path.suffix}") for number in count(2))
+    return next(name for name in chain([path], others) if not name.exists())
+
+
+def say_next_of_asset(asset: Path, *options: object, lights: Sequence[object] = ()) -> None:
+    """Print the command that shows an asset: in a window, without a display in a file, without PyVista by `shade`.
+
+    `options` of both `view` and `shade`, and `lights`, are what the user gave; without lights it is the shipped sky.
+    """
+    picture = unused(asset.with_suffix(".png"))
+    lit = [word for light in lights for word in ("--light", light)]
     if not all(map(find_spec, ("pyvista", "vtkmodules"))):
         from prt_bake.shipped.examples import example
 
-        say_next("prtbake", "shade", asset, "--light", example("sky.hdr"), "-o", picture)
+        say_next("prtbake", "shade", asset, *(lit or ["--light", example("sky.hdr")]), *options, "-o", picture)
     elif sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-        say_next("prtbake", "view", asset, "--screenshot", picture)
+        say_next("prtbake", "view", asset, *lit, *options, "--screenshot", picture)
     else:
-        say_next("prtbake", "view", asset)
+        say_next("prtbake", "view", asset, *lit, *options)
+
+
+def say_next_of_file(kind: str, file: Path) -> None:
+    """Print the command that goes on with a mesh, a scene, a model or an asset, with what lies beside it already."""
+    model, asset = file.with_suffix(".pt"), file.with_suffix(".h5")
+    if kind == "mesh":
+        from prt_bake.inspection.mesh import needs_a_size
+
+        say_next("prtbake", "init", file, "--material", "jade", *(("--size", "10cm") if needs_a_size(file) else ()))
+    elif kind == "scene" and not model.exists():
+        say_next("prtbake", "train", file, "-o", model.name)
+    elif kind in ("scene", "model") and not asset.exists():
+        source = model if kind == "scene" else file
+        say_next("prtbake", "bake", source, *(() if _knows_its_mesh(source) else ("MESH",)), "-o", asset.name)
+    elif kind in ("scene", "model", "asset"):
+        say_next_of_asset(file if kind == "asset" else asset)
+
+
+def _knows_its_mesh(model: Path) -> bool:
+    from prt_bake.baking.sources import own_mesh
+
+    try:
+        own_mesh(model)
+    except (PrtbakeError, OSError):
+        return False
+    return True

@@ -164,7 +164,18 @@ OnlyEye = Annotated[
 ]
 Exposure = Annotated[
     float,
-    typer.Option(min=-64, max=64, metavar="EV", help="Multiply by 2^EV before the sRGB curve (PNG only)."),
+    typer.Option(min=-64, max=64, metavar="EV", help="Multiply by 2^EV before the sRGB curve; not in .exr and .hdr."),
+]
+ToneMap = Annotated[
+    Literal["none", "agx"],
+    typer.Option(help="none clips bright light; agx, as in Blender, turns it white. Not in .exr and .hdr."),
+]
+Reflection = Annotated[
+    bool,
+    typer.Option(
+        "--reflection/--no-reflection",
+        help="Add light reflected at the surface: GGX with the asset's index of refraction and roughness.",
+    ),
 ]
 ReflectionNormals = Annotated[
     Literal["vertex", "face"] | None,

@@ -1,5 +1,6 @@
 """`prtbake init`: writes a scene file for a mesh and a material."""
 
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -7,10 +8,11 @@ import typer
 
 from formats.errors import MeshError, StorageError
 from prt_bake.cli.shared.kinds import refuse_other_kinds
-from prt_bake.cli.shared.next_step import say_next
+from prt_bake.cli.shared.next_step import say_next, unused
 from prt_bake.cli.shared.options import optional_output
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
+from prt_bake.cli.start.materials import complete_material
 
 if TYPE_CHECKING:
     from formats.mesh import Mesh
@@ -22,7 +24,13 @@ _USUAL_SIZE = 100.0
 
 MaterialName = Annotated[
     str | None,
-    typer.Option("--material", metavar="NAME", help="Such as jade; `prtbake materials` lists all.", show_default=False),
+    typer.Option(
+        "--material",
+        metavar="NAME",
+        help="Such as jade; `prtbake materials` lists all.",
+        show_default=False,
+        autocompletion=complete_material,
+    ),
 ]
 ObjectSize = Annotated[
     str | None,
@@ -47,39 +55,46 @@ def init(
 
     Without --size a glTF mesh is in metres, and any other is taken to be 10 cm long.
     """
+    from prt_bake.inspection.translucency import translucent_size
+
     path = output or Path(f"{mesh.stem}.toml")
-    write_scene(mesh, material, size, path, up, force)
-    say_next("prtbake", "make", path, "-o", path.stem)
-
-
-def write_scene(
-    mesh_path: Path, material: str | None, size: str | None, path: Path, up: Literal["y", "z"], force: bool
-) -> None:
-    """Write the scene of a mesh, and print what was chosen.
-
-    Raises typer.BadParameter for an unknown material or size, MeshError for a mesh that is not sound, and StorageError
-    if the scene exists and `force` is not given.
-    """
-    mesh_path.stat()  # a file that is not there is reported first
-    refuse_other_kinds({"MESH": (mesh_path, ("mesh",))})
-    check_outputs({"--output": path}, {"MESH": mesh_path})
+    mesh.stat()  # a file that is not there is reported first
+    refuse_other_kinds({"MESH": (mesh, ("mesh",))})
+    check_outputs({"--output": path}, {"MESH": mesh})
     if path.exists() and not force:
         raise StorageError(f"{path}: already exists; add --force to replace it, or choose another name with -o")
+    draft = draft_scene(mesh, material, size, path, up)
+    if size is None and draft.light.opaque:
+        better = translucent_size(draft.light)
+        write_draft(draft, better)
+        others = (*(() if output is None else ("-o", output)), *(() if up == "y" else ("--up", up)))
+        say_next("prtbake", "init", mesh, "--material", material, "--size", better, *others, "--force")
+    else:
+        write_draft(draft)
+        say_next("prtbake", "make", path, "-o", unused(path.with_suffix("")))
+
+
+def write_draft(draft: "SceneDraft", better: str | None = None) -> None:
+    """Write the scene of a mesh, and print what was chosen; `better` is a size that does not look opaque."""
     from formats.atomic import replacing
     from prt_bake.inspection import translucency
 
-    draft = draft_scene(mesh_path, material, size, path, up)
-    with replacing(path) as part:
+    with replacing(draft.path) as part:
         part.write_text(draft.text(), encoding="utf-8")
     if not draft.material.measured:
         say(f"{draft.material.name} is {draft.material.source}")
-    if remark := translucency.remark(draft.light, 1.0):
+    if better is not None:
+        say(
+            f"remark: {draft.material.name} of this size looks opaque, like stone; {better} looks translucent: "
+            f"--size {better}"
+        )
+    elif remark := translucency.remark(draft.light, 1.0):
         say(f"remark: {remark}")
     paths = draft.light.size / draft.light.transport
     least, most = translucency.digits(paths.min()), translucency.digits(paths.max())
     print(
-        f"{path}: {mesh_path.name} in {draft.material.name}, {draft.light.size:.4g} mm long, {least} to {most} "
-        f"transport mean free paths (about 5 to 50 look translucent)"
+        f"{draft.path}: {draft.mesh_path.name} in {draft.material.name}, {draft.light.size:.4g} mm long, {least} to "
+        f"{most} transport mean free paths (about 5 to 50 look translucent)"
     )
 
 
@@ -108,7 +123,7 @@ def _material(name: str | None) -> "Material":
     from formats.scene.materials import find_material
 
     if name is None:
-        raise typer.BadParameter(f"Missing option '--material'. {_materials_by_group()}")
+        raise typer.BadParameter(f"Missing option '--material'. Choose one:\n{_materials_by_group()}")
     try:
         return find_material(name)
     except KeyError as cause:
@@ -121,7 +136,8 @@ def _materials_by_group() -> str:
     groups: dict[str, list[str]] = {}
     for material in materials().values():
         groups.setdefault(material.group, []).append(material.name)
-    return "; ".join(f"{group}: {', '.join(names)}" for group, names in groups.items())
+    lines = (f"{group}: {', '.join(names)}" for group, names in groups.items())
+    return "\n".join(textwrap.fill(line, 80, initial_indent="  ", subsequent_indent="    ") for line in lines)
 
 
 def _length(size: str | None) -> float | None:

@@ -49,11 +49,12 @@ class SceneDraft:
 
     def text(self) -> str:
         """Return the file's content."""
-        return "\n".join([*self._object(), "", *self._interface(), "", *self._medium(), "", *self._next_steps(), ""])
+        parts = (self._object(), self._interface(), self._medium(), self._more_keys(), self._next_steps())
+        return "\n\n".join("\n".join(part) for part in parts) + "\n"
 
     def _object(self) -> Iterator[str]:
         known = [name for name, length in MILLIMETRES.items() if length == self.unit_in_mm]
-        yield f"# {_one_line(self.mesh_path.name)} in {self.material.name}. All keys: docs/scene_files.md"
+        yield f"# {_one_line(self.mesh_path.name)} in {self.material.name}"
         yield ""
         yield "[object]"
         yield f"mesh = {_quoted(_relative(self.mesh_path, self.path))}"
@@ -73,6 +74,7 @@ class SceneDraft:
         yield f"eta = {self.material.eta:g}  # index of refraction; 1 bends and reflects no light"
         yield f"roughness = {self.material.roughness:g}  # GGX alpha: 0 polished, 0.15 glossy, 0.3 satin, 0.6 matt"
         yield f'normals = "{self.normals}"  # {smooth}; "vertex" or "face"'
+        yield "energy_compensation = false  # true: a rough surface loses no light by a second scattering at it"
 
     def _medium(self) -> Iterator[str]:
         pure = to_scene_units(self.material, 0.0, self.unit_in_mm)
@@ -89,7 +91,33 @@ class SceneDraft:
         yield f"# Transport mean free path: {channels(light.transport)} mm. The longest side of the object,"
         yield f"# {light.size:.4g} mm, is {channels(light.size / light.transport)} of them."
         yield f"# {GUIDE[0].upper()}{GUIDE[1:]}."
-        yield f"# Diffuse light that crosses a tenth of the object: {channels(100.0 * light.crossing)} %."
+        yield f"# Diffuse light that crosses a tenth of the object: {light.percent_crossing}."
+
+    def _more_keys(self) -> Iterator[str]:
+        feature = 0.1 * self.light.size / self.unit_in_mm
+        yield "# All other keys, to be used without the first #. Veins, or soft spots, of a second material:"
+        yield "# [medium.mix]"
+        yield '# material = "marble vein"  # and density; or sigma_t and albedo'
+        yield '# pattern = "veins"  # thin sheets; "noise" is soft spots, "turbulence" billows with creases'
+        yield f"# feature = {feature:.3g}  # size of the largest features, in units of the mesh"
+        yield "# thresholds = [0.7, 0.95]  # none of it where the pattern, 0 to 1, is at the first, all at the second"
+        yield "# octaves = 4  # number of sizes, each half of the one before"
+        yield "# resolution = 64  # cells along the longest side"
+        yield "# seed = 0"
+        yield "#"
+        yield "# Another closed mesh inside the object, with keys as above; tables can be repeated:"
+        yield "# [[inside]]"
+        yield '# name = "core"'
+        yield '# mesh = "core.obj"'
+        yield '# in = "object"  # the part that contains it'
+        yield "# [inside.interface]"
+        yield "# eta = 1.33"
+        yield "# [inside.medium]"
+        yield '# material = "wax"'
+        yield '# An opaque body has instead of them: surface = "diffuse" and reflectance (number, RGB, file).'
+        yield "#"
+        yield "# roughness may be an image file; sigma_t and albedo may be .npy grids [Z,Y,X] or [Z,Y,X,3] in a box"
+        yield "# with two corners: bounds = [[x, y, z], [x, y, z]]."
 
     def _next_steps(self) -> Iterator[str]:
         vertices, name = len(self.mesh.positions), self.path.stem

@@ -12,12 +12,12 @@ from prt_bake.mathematics.counter import mix
 
 
 def require_walks_on(device: str) -> None:
-    """Raise QueryError if walks cannot run on `device`, "cpu" or "cuda"."""
+    """Raise QueryError if paths cannot be traced on `device`, "cpu" or "cuda"."""
     if device == "cpu":
         return
     reason = reason_against() if device == "cuda" else f"expected 'cpu' or 'cuda', found {device!r}"
     if reason:
-        raise QueryError(f"device: walks cannot run on a GPU: {reason}; or use the CPU")
+        raise QueryError(f"device: paths cannot be traced on a GPU: {reason}; or use the CPU")
 
 
 @cache

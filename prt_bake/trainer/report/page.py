@@ -138,7 +138,7 @@ def _split_table(report: dict[str, Any]) -> str:
         + "<p class='under'>Noise is subtracted in squares, without bias. Effective number: how many queries or "
         "positions of equal weight would give the same certainty; figures with a small number are uncertain. "
         f"95th percentile over vertices of a vertex's relative RMSE: {_percent(coefficients['percentile_95'])}; "
-        f"{coefficients['percentile_95_uncorrected']:.2%} before the scatter of views and walks is subtracted.</p>"
+        f"{coefficients['percentile_95_uncorrected']:.2%} before the scatter of views and paths is subtracted.</p>"
     )
 
 

@@ -83,7 +83,7 @@ def _draw_history(figure: Any, report: dict[str, Any]) -> None:
     if part["of"] == of == "transport" and part["weights"] and (rows[:, 1] > 0).all():
         expected = 100.0 * np.sqrt(part["weights"] * part["v"]["value"] / rows[:, 1])
         shown = expected < 200.0
-        label = "sqrt(weights · v / walks)"
+        label = "sqrt(weights · v / paths)"
         axes.plot(minutes[shown], expected[shown], color=_REFERENCE, linestyle="--", label=label)
     measured = report["transport"] if of == "transport" else report["coefficients"]["surface"]
     if measured is not None:

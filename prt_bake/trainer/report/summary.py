@@ -23,7 +23,7 @@ def criteria(found: dict[str, Any], scene: Scene) -> list[dict[str, Any]]:
     kind = "homogeneous, index-matched" if plain else "heterogeneous or with an interface"
     white, coefficients = found["white_sky"], found["coefficients"]
     rows = [
-        (f"relative RMSE of the coefficients over the surface ({kind})", bound, coefficients["surface"]["network"]),
+        (f"relative RMSE of the coefficients over the surface ({kind})", bound, surface_error(found).as_json()),
         (
             f"relative RMSE of the coefficients over vertices and views ({kind})",
             bound,
@@ -83,22 +83,17 @@ def criterion_line(row: dict[str, Any]) -> str:
 
 def sentences(found: dict[str, Any]) -> list[str]:
     """The assessment in sentences, the most important first; intervals are 95 % confidence intervals."""
-    model = found["model"]
-    measured, final = Interval(**found["coefficients"]["surface"]["network"]), final_error(model["final_errors"])
-    # Both are right; the narrower interval says more.
-    narrower = final if _width(final) < _width(measured) else measured
-    summary = [quality(narrower, model["training_seconds"] / 60.0, model["walks"])]
+    model, surface = found["model"], surface_error(found)
+    summary = [quality(surface, model["training_seconds"] / 60.0, model["walks"])]
     if found["transport"] is not None:
         summary.append(f"Relative RMSE of Ŝ on fresh queries: {_error_text(found['transport'])}")
     else:
         summary.append("Ŝ has no values behind a smooth interface; only the coefficients are assessed.")
     coefficients = found["coefficients"]
-    at_the_end = (
-        f" At the end of the training, at other queries: {percent(vars(final))}." if _width(final) < 1e9 else ""
-    )
-    summary.append(
-        f"Relative RMSE of the coefficients over the surface: {_error_text(coefficients['surface'])}{at_the_end}"
-    )
+    text = _error_text(coefficients["surface"])
+    if _ends_better(found):
+        text = f"{percent(surface.as_json())}, measured at the end of the training."
+    summary.append(f"Relative RMSE of the coefficients over the surface: {text}")
     summary.append(
         f"Relative RMSE of the coefficients over vertices and views, as in a bake: "
         f"{_error_text(coefficients['vertices'])} 95 % of the vertices are below "
@@ -120,17 +115,24 @@ def sentences(found: dict[str, Any]) -> list[str]:
     return summary
 
 
+def surface_error(found: dict[str, Any]) -> Interval:
+    """The error of a_lm over the surface: that of the end of the training, unless this assessment has more queries."""
+    if _ends_better(found):
+        return final_error(found["model"]["final_errors"])
+    return Interval(**found["coefficients"]["surface"]["network"])
+
+
+def _ends_better(found: dict[str, Any]) -> bool:
+    final = found["model"]["final_errors"]
+    known = np.isfinite(final_error(final).value)
+    return bool(known and final.get("queries", 0) >= found["coefficients"]["surface"]["of"])
+
+
 def final_error(errors: dict[str, Any] | None) -> Interval:
     """The error of a_lm at the end of a training with its interval, NaN where they are unknown."""
     if errors is None or errors["coefficients"] is None:
         return Interval(np.nan, np.nan, np.nan)
     return Interval(errors["coefficients"], *(errors.get("coefficients_interval") or (np.nan, np.nan)))
-
-
-def _width(figure: Interval) -> float:
-    """The relative width of an interval; infinite if it is unknown."""
-    width = (figure.high - figure.low) / max(figure.value, 1e-300)
-    return width if np.isfinite(width) else np.inf
 
 
 def _error_text(part: dict[str, Any]) -> str:
@@ -145,11 +147,11 @@ def _error_text(part: dict[str, Any]) -> str:
 
 def _prediction_text(part: dict[str, Any]) -> str:
     name = "Ŝ" if part["of"] == "transport" else "the coefficients"
-    v = f"A single walk estimates {name} with a relative variance of {part['v']['value']:.3g}"
+    v = f"A single path estimates {name} with a relative variance of {part['v']['value']:.3g}"
     if not part["walks"] or not part["weights"]:
-        return f"{v}; the model does not state on how many walks it was trained."
+        return f"{v}; the model does not state on how many paths it was trained."
     return (
-        f"{v}. For {part['weights']:,} weights and {part['walks']:,.0f} walks the expected error is "
-        f"sqrt(weights · v / walks) = {part['predicted']['value']:.2%}; the measured error is "
+        f"{v}. For {part['weights']:,} weights and {part['walks']:,.0f} paths the expected error is "
+        f"sqrt(weights · v / paths) = {part['predicted']['value']:.2%}; the measured error is "
         f"{percent(part['reached'])}."
     )

@@ -50,7 +50,7 @@ def record_samples(
     if smooth is not None:
         raise SceneError(
             f"{scene.path}: the boundary of '{smooth.name}' is smooth: Ŝ has no values there that a file could store; "
-            "train on the scene itself, which learns from exits of walks, or give it a roughness such as 0.05"
+            "train on the scene itself, which learns from the exits of paths, or give it a roughness such as 0.05"
         )
     for name, value, least in (("count", count, 1), ("walks", walks, 2), ("directions", directions, 1)):
         if value < least:

@@ -84,7 +84,7 @@ def test_assets_made_for_one_light_or_eye_are_refused() -> None:
     eye = prt.bake(Lobed(), MESH, rings=1, sectors=4, lobes=4, for_eye=[0.0, 0.0, 5.0])
     assert eye.lobes is None
     for made in (replace(asset, quantity="radiance"), eye):
-        with pytest.raises(QueryError, match="made for one light or one eye"):
+        with pytest.raises(QueryError, match="made for one light or one camera position"):
             prt.add_lobes(made, Lobed())
 
 

@@ -69,7 +69,7 @@ def test_coefficients_are_those_without_lobes() -> None:
         (Smooth(), {}, "gain nothing"),
         (Lobed(), {"lobes": 0}, "not requested"),
         (Lobed(), {"for_light": np.ones((9, 3))}, "one light"),
-        (Lobed(), {"for_eye": [0.0, 0.0, 5.0]}, "one eye"),
+        (Lobed(), {"for_eye": [0.0, 0.0, 5.0]}, "one camera position"),
     ],
 )
 def test_the_reason_for_no_lobes_is_stated(transport: Any, arguments: dict[str, Any], reason: str) -> None:

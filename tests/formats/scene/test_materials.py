@@ -163,8 +163,8 @@ def test_info_reports_that_eta_is_not_that_of_the_material(folder):
 
 
 FAULTS = [
-    ("marble", "marbel", "medium.material: unknown material 'marbel'; did you mean 'marble'?"),
-    ("marble", "plutonium", "medium.material: unknown material 'plutonium'; expected one of alabaster, amber, "),
+    ("marble", "marbel", "medium.material: unknown material 'marbel'; did you mean 'marble' or 'marble vein'?"),
+    ("marble", "plutonium", "medium.material: unknown material 'plutonium'; `prtbake materials` lists all"),
     ('"cm"', '"unit"', "object.unit: 'marble' is known per millimetre, but 'unit' is not a known unit of length"),
     ('"cm"', '"cm"\nunit_in_mm = 1', "object.unit: 'cm' has 10 millimetres, but unit_in_mm is 1; remove one of them"),
     ('"cm"', '"centimeter"\nunit_in_mm = 1', "object.unit: 'centimeter' has 10 millimetres, but unit_in_mm is 1"),

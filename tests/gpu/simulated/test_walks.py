@@ -126,7 +126,7 @@ def test_a_gpu_that_cannot_walk_is_refused_with_the_reason(tmp_path: Path, monke
     monkeypatch.setattr(availability, "_add_one", lambda numbers: 1 / 0)
     availability.reason_against.cache_clear()
     try:
-        with pytest.raises(QueryError, match="walks cannot run on a GPU: numba-cuda fails"):
+        with pytest.raises(QueryError, match="paths cannot be traced on a GPU: numba-cuda fails"):
             estimate_coefficients(scene, queries.location.positions, queries.outgoing, 1, 8, device="cuda")
     finally:
         availability.reason_against.cache_clear()

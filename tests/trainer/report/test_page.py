@@ -18,7 +18,7 @@ from prt_bake.trainer.report.assessment import assess
 from prt_bake.trainer.report.page import training_page, write_training_report
 from prt_bake.trainer.report.picture import SUNS, picture_summary, sun_text
 from prt_bake.trainer.report.report import report_training
-from prt_bake.trainer.report.summary import sentences
+from prt_bake.trainer.report.summary import sentences, surface_error
 from tests.tracer.scenes import make_scene, sphere
 from tests.trainer.report.test_assessment import Network, NoisyTruth, truth
 
@@ -147,11 +147,14 @@ def test_a_report_without_time_has_no_pictures_and_says_so(tmp_path, monkeypatch
     assert shares == sorted(shares)
 
 
-def test_the_quality_is_that_of_the_narrower_interval(report):
-    own = report["coefficients"]["surface"]["network"]
-    for spread, value in ((1e-3, 0.061), (10.0, own["value"])):
-        final = {"coefficients": 0.061, "coefficients_interval": [0.061 / (1.0 + spread), 0.061 * (1.0 + spread)]}
-        text = sentences({**report, "model": {**report["model"], "final_errors": final}})
+def test_a_report_has_the_error_of_the_training_unless_its_own_has_more_queries(report):
+    own, count = report["coefficients"]["surface"]["network"], report["coefficients"]["surface"]["of"]
+    for queries, value in ((count, 0.061), (count - 1, own["value"])):
+        final = {"coefficients": 0.061, "coefficients_interval": [0.05, 0.07], "queries": queries}
+        found = {**report, "model": {**report["model"], "final_errors": final}}
+        text = sentences(found)
         assert text[0].startswith(f"the network is {100 * value:.1f} % off (")
-        assert "At the end of the training, at other queries: 6.10%" in text[2]
-    assert "At the end" not in "".join(report["summary"])
+        assert text[2].startswith(f"Relative RMSE of the coefficients over the surface: {value:.2%}")
+        assert ("measured at the end of the training" in text[2]) == (value == 0.061)
+        assert surface_error(found).value == value
+    assert "at the end" not in "".join(report["summary"])

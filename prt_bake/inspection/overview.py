@@ -1,0 +1,183 @@
+"""The first screen of `prtbake info`: what a file is, its object, its size and its error, in words."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from formats.asset.total_error import ErrorInterval
+from formats.scene.units import MILLIMETRES, NO_UNIT
+
+Figures = Mapping[str, Any]
+"""What `describe` of a file returns."""
+
+_WHAT = {
+    "mesh": "mesh",
+    "picture": "picture",
+    "scene": "scene: an object and what it is made of",
+    "model": "model: a network that was trained on one object",
+    "lights": "lights file, for --light",
+    "importance": "importance module of a model; `prtbake render` finds it by its name",
+    "asset": "asset: a baked object that can be shown under any light",
+    "samples": "training samples: path-traced values for `prtbake train --samples`",
+}
+
+
+def overview(figures: Figures) -> dict[str, str]:
+    """Return the lines that a user needs first, by name, from what `prt_bake.inspection.describe` returns."""
+    kind = figures["kind"]
+    lines = _LINES.get(kind, _others)(figures)
+    size = {"file": _bytes(figures["bytes"])} if "bytes" in figures else {}
+    return {"kind": _WHAT.get(kind, str(kind)), **size, **{name: text for name, text in lines.items() if text}}
+
+
+def _asset(figures: Figures) -> dict[str, str]:
+    settings = {name.removeprefix("provenance: "): value for name, value in figures.items()}
+    unfinished = "no; `prtbake bake --resume` goes on where the bake stopped"
+    under = "" if figures["quantity"] == "transfer" else "asset: a baked object under one light, which cannot change"
+    seconds, compression = settings.get("seconds"), figures.get("compact: added relative RMSE")
+    return {
+        **({"kind": under} if under else {}),
+        "object": _object(figures, settings.get("mesh")),
+        "longest side": _longest_side(figures["bounds"], figures["unit"]),
+        "error of the coefficients": figures["error of the coefficients"],
+        "complete": "yes" if figures["complete"] else unfinished,
+        "vertices baked": f"{figures['vertices baked']:,}",
+        "view bins": f"{figures['rings']} rings of {figures['sectors']}",
+        "harmonics": f"degree {figures['degree']}",
+        "lobes": figures["lobes"],
+        "compressed": "" if compression is None else f"adds {compression:.2%} error",
+        "pruned": ", ".join(str(item.get("item")) for item in figures["pruned"]),
+        "surface": _surface(settings),
+        "up": figures["up"],
+        "baked from": str(settings.get("source", "")),
+        "baked in": "" if seconds is None else _time(seconds),
+        "command": str(settings.get("command", "")),
+    }
+
+
+def _model(figures: Figures) -> dict[str, str]:
+    training = figures.get("training", {})
+    errors = training.get("relative_rmse") or {}
+    error, interval = errors.get("coefficients"), errors.get("coefficients_interval")
+    trained = [
+        _time(training["seconds"]) if "seconds" in training else "",
+        f"{training['walks']:,} paths" if "walks" in training else "",
+        f"{training['steps']:,} steps" if "steps" in training else "",
+    ]
+    return {
+        "object": f"that of {figures['scene']}" if figures.get("scene") else "",
+        "longest side": _length(figures["box side"], figures.get("unit", NO_UNIT)),
+        "error of the coefficients": "" if error is None else str(ErrorInterval(error, *(interval or ()))),
+        "surface": _surface(figures),
+        "up": str(figures.get("up", "")),
+        "trained": ", ".join(filter(None, trained)),
+        "network": f"{figures['weights']:,} weights",
+    }
+
+
+def _scene(figures: Figures) -> dict[str, str]:
+    names = (
+        *("material", "mixed with", "sigma_t", "albedo", "phase_g", "reflectance", "eta", "roughness", "normals"),
+        *("longest side", "mean free path", "transport mean free path"),
+    )
+    thickness = figures.get("longest side in transport mean free paths")
+    inside = [name.removesuffix(": in") for name in figures if name.endswith(": in")]
+    return {
+        "object": _object(figures, figures["mesh"]),
+        **{name: str(figures[name]) for name in names if name in figures},
+        "thickness": f"{thickness} transport mean free paths; 5 to 50 look translucent" if thickness else "",
+        "light through a tenth": str(figures.get("diffuse light through a tenth of the object", "")),
+        "up": figures["up"],
+        "inside": "; ".join(_part(figures, name) for name in inside),
+    }
+
+
+def _part(figures: Figures, name: str) -> str:
+    """Return the name of an inner part and what it is made of."""
+    opaque, eta = f"{name}: reflectance" in figures, figures.get(f"{name}: eta")
+    return f"{name}, " + str(figures.get(f"{name}: material", "opaque" if opaque else f"eta {eta:g}"))
+
+
+def _mesh(figures: Figures) -> dict[str, str]:
+    low, high = figures["bounds"]
+    sides = " × ".join(f"{b - a:.4g}" for a, b in zip(low, high, strict=True))
+    unit = "m, the unit of glTF" if figures["unit"] == "m" else "in a unit that the format does not name"
+    open_edges, volume = figures["open edges"], figures["volume"]
+    repairs = ("faces without area", "vertices merged")
+    return {
+        "object": _object(figures, None),
+        "size": f"{sides} {unit}",
+        "closed": f"yes, volume {volume:.4g}" if not open_edges else f"no, {open_edges} open edges",
+        **{name: f"{figures[name]:,}" for name in repairs if figures[name]},
+        "texture coordinates": "yes" if figures["texture coordinates"] else "no",
+    }
+
+
+def _picture(figures: Figures) -> dict[str, str]:
+    bad = ("values not finite", "values negative")
+    return {
+        "can be": figures["can be"],
+        "size": f"{figures['width']} × {figures['height']} pixels",
+        "colours of": figures.get("colours of", ""),
+        "other layers": ", ".join(figures.get("other layers", ())),
+        "mean radiance": ", ".join(f"{value:.4g}" for value in figures["mean radiance"]),
+        "largest radiance": f"{figures['largest radiance']:.4g}",
+        **{name: f"{figures[name]:,}" for name in bad if figures[name]},
+    }
+
+
+def _others(figures: Figures) -> dict[str, str]:
+    """Return the single figures, without settings and hashes."""
+    counts = ("weights", "queries")
+    hidden = ("kind", "bytes", "settings: ", "scene hash", "of model")
+    return {
+        name: f"{value:.4g}" if isinstance(value, float) else f"{value:,}" if name in counts else str(value)
+        for name, value in figures.items()
+        if not isinstance(value, dict | list) and not name.startswith(hidden)
+    }
+
+
+def _lights(figures: Figures) -> dict[str, str]:
+    counts = {name: str(figures[name]) for name in ("directional lights", "sphere lights") if figures[name]}
+    return {**counts, "skies": ", ".join(figures["skies"])}
+
+
+_LINES: dict[str, Callable[[Figures], dict[str, str]]] = {
+    "asset": _asset,
+    "model": _model,
+    "scene": _scene,
+    "mesh": _mesh,
+    "picture": _picture,
+    "lights": _lights,
+}
+
+
+def _object(figures: Figures, mesh: object) -> str:
+    counts = f"{figures['vertices']:,} vertices, {figures['faces']:,} faces"
+    return f"{mesh}: {counts}" if mesh else counts
+
+
+def _longest_side(bounds: Any, unit: str) -> str:
+    low, high = bounds
+    return _length(max(b - a for a, b in zip(low, high, strict=True)), unit)
+
+
+def _length(value: float, unit: str) -> str:
+    if unit == NO_UNIT:
+        return f"{value:.4g} scene units"
+    length = MILLIMETRES.get(unit)
+    return f"{value:.4g} {unit}" + ("" if length in (None, 1.0) else f" ({value * length:.4g} mm)")
+
+
+def _surface(figures: Figures) -> str:
+    eta, roughness = figures.get("eta"), figures.get("roughness")
+    if eta is None:
+        return ""
+    return f"index of refraction {eta:g}" + (f", roughness {roughness:g}" if isinstance(roughness, float) else "")
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
+
+
+def _bytes(count: int) -> str:
+    return f"{count / 1e6:,.1f} MB" if count >= 1e5 else f"{count / 1e3:,.1f} kB"
