@@ -146,7 +146,7 @@ def test_the_steps_share_the_time(kitchen, capsys):
     captured = capsys.readouterr()
     assert captured.out.startswith("out/summary.md: error of the asset ")
     assert "out/asset.h5: " in captured.out
-    assert "the same asset, to pass on: at most 0.5 % off" in captured.out
+    assert "the same asset, to pass on: coefficients at most 0.5 % off" in captured.out
     assert "out/model.pt: the network is 9.0 % off" in captured.err
     assert "next: prtbake view out/asset.h5" in captured.err.splitlines()[-1]
     assert captured.err.count("next: ") == 1
@@ -201,15 +201,22 @@ def test_time_that_is_lost_is_taken_from_all_steps(kitchen):
 def test_more_minutes_train_on(kitchen, capsys):
     kitchen.run("wax.toml", "-o", "out", "--minutes", "16")
     kitchen.seconds["train"] = 300.0
+    Path("out/model.report.json").write_text("the report of the shorter training")
     calls = kitchen.run("wax.toml", "-o", "out", "--minutes", "30")
     assert [call[0] for call in calls] == ["train", "bake", "picture", "turntable"]
     assert calls[0] == ("train", 14.4, True)  # 55 % of 30 minutes less the 228 s of what is made anew
     assert "train, 15:12 min left of 30:00 min" in capsys.readouterr().err
     assert summary()["steps"][0]["seconds"] == 960.0
     assert summary()["minutes"] == 30.0
+    assert not Path("out/model.report.json").exists()
     assert kitchen.run("wax.toml", "-o", "out") == []
     with pytest.raises(PrtbakeError, match=r"out: was made for 30 minutes, found --minutes 20; omit it"):
         kitchen.run("wax.toml", "-o", "out", "--minutes", "20")
+
+
+def test_the_quality_of_a_model_is_that_of_its_report(tmp_path):
+    (tmp_path / "model.report.json").write_text('{"summary": ["the network is 9 % off"]}')
+    assert steps._quality(str(tmp_path / "model.pt")) == "the network is 9 % off"
 
 
 def test_minutes_that_are_over_already_are_refused(kitchen):

@@ -17,7 +17,7 @@ from prt_bake.baking.lobes.stage import find_lobes
 from prt_bake.baking.output.checkpoint_store import CheckpointStore
 
 STAGE = "lobes"
-SHARE_OF_TIME = 0.25
+SHARE_OF_TIME = 0.5
 """Most of a bake's time limit that lobes may take."""
 
 

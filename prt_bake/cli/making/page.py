@@ -17,11 +17,12 @@ def write_page(record: Record) -> None:
 
 def results(record: Record) -> Iterator[str]:
     """Yield what was made, and what each file is for."""
+    percent = 100.0 * COMPRESSION_ERROR
     uses = {
         PICTURE: "a picture",
         TURNTABLE: "a turntable",
         ASSET: "the asset, for `prtbake view`, `prtbake shade` and Python",
-        COMPACT: f"the same asset, to pass on: at most {100.0 * COMPRESSION_ERROR:g} % off, and read by every command",
+        COMPACT: f"the same asset, to pass on: coefficients at most {percent:g} % off; every command reads it",
     }
     yield f"{record.folder / PAGE}: error of the asset {record.figures['error of the coefficients']}"
     yield from (

@@ -6,6 +6,7 @@ interrupted runs lost is taken from all of them.
 
 import contextlib
 import io
+import json
 import math
 import os
 import shlex
@@ -22,7 +23,7 @@ from prt_bake.cli.making.record import ASSET, COMPACT, MODEL, PICTURE, TURNTABLE
 from prt_bake.cli.shared import signals
 from prt_bake.cli.shared.next_step import without_next
 from prt_bake.cli.shared.progress import in_words, reporting, say
-from prt_bake.network.file_names import state_path
+from prt_bake.network.file_names import report_paths, state_path
 
 TRAINING, REST = 0.55, 0.1
 """Shares of the time for the training, and for all that follows the bake."""
@@ -89,6 +90,8 @@ class Steps:
         lost = self._record.spent - self._record.kept
         usable = max(self._total - lost, _LEAST_USABLE * self._total)
         arguments = ["train", str(self._scene), "-o", model, "--minutes", _minutes(TRAINING * usable)]
+        for path in report_paths(model):  # of a shorter training
+            path.unlink(missing_ok=True)
         self._run("train", arguments, model_files(), state_path(Path(model)))
         shutil.rmtree(journal_folder(self._file(ASSET)), ignore_errors=True)  # of a bake of an earlier model
         say(f"{model}: {_quality(model)}")
@@ -209,6 +212,10 @@ def _frame_seconds(asset: Path, lights: list[str]) -> float:
 
 
 def _quality(model: str) -> str:
+    """The quality of a model in words: that of its report, if there is time for one, else of its training."""
+    report, _page = report_paths(model)
+    if report.is_file():
+        return str(json.loads(report.read_text(encoding="utf-8"))["summary"][0])
     from prt_bake.cli.shared.after_training import quality_of
     from prt_bake.network.bssrdf import load_model
 
