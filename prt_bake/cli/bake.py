@@ -164,7 +164,8 @@ def bake(
         "lobes": lobes,
     }
     if dry_run:
-        plan = baking.plan(transport, surface, *sampling, seed, error=error, minutes=minutes, **shared)
+        with reporting("plan", "pilot on a few vertices"):
+            plan = baking.plan(transport, surface, *sampling, seed, error=error, minutes=minutes, **shared)
         print("\n".join(plan_lines(plan)) if sys.stdout.isatty() else json.dumps(plan.as_json(), indent=2))
         return
     assert output is not None

@@ -106,7 +106,7 @@ def shade(
     mend: Mend = False,
     suns: Suns = "split",
 ) -> None:
-    """Relight a baked asset and write the picture.
+    """Relight a baked asset and write the picture, or a turntable.
 
     The picture shows subsurface light, with the sky and lights of finite size behind the object; --reflection adds
     light reflected at the surface. An .exr has the standard error of the bake (error.R, error.G, error.B) and the
