@@ -185,8 +185,8 @@ def _open_pieces(positions: Array, faces: NDArray[np.integer], loose: Indices) -
     low, high = (", ".join(f"{x:.4g}" for x in corner) for corner in (first.min(axis=0), first.max(axis=0)))
     verb = "is" if len(unclosed) == 1 else "are"
     return (
-        f"; {len(unclosed)} of its {len(pieces)} pieces {verb} open, the first from ({low}) to ({high}): leave out what is "
-        "not of the object, such as a ground"
+        f"; {len(unclosed)} of its {len(pieces)} pieces {verb} open, the first from ({low}) to ({high}): leave out "
+        "what is not of the object, such as a ground"
     )
 
 

@@ -208,8 +208,9 @@ def bake(
     for remark in _remarks(summary):
         print(remark)
     if not asset.complete:
+        ended = "the bake was stopped" if stop() else "its time ended before every vertex was baked"
         raise PrtbakeError(
-            f"{written}: the bake was stopped; the file is a valid partial asset; "
+            f"{written}: {ended}; the file is a valid partial asset; "
             f"the same command with --resume continues from {journal_folder(output).name} beside it"
         )
     if stop() and journal_folder(output).is_dir():
