@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from bakers.plan import BakePlan
-from formats.errors import InputWarning
+from formats.errors import InputWarning, QueryError
 from prt_bake import bake
 from prt_bake.baking.adaptive import run
 from prt_bake.baking.bake import plan
@@ -91,6 +91,12 @@ def test_a_time_too_short_for_the_first_pass_is_named(monkeypatch: pytest.Monkey
         asset = bake(transport, icosphere(3), rings=4, sectors=16, minutes=0.1, lobes=0)
     assert len(warned) == 1
     assert not asset.complete
+
+
+def test_a_time_too_short_for_one_vertex_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    transport = Timed(Lobed(), Clock(monkeypatch), each=4e-5)
+    with pytest.raises(QueryError, match="ended before its first vertex was done, and nothing was written; give it"):
+        bake(transport, icosphere(1), rings=4, sectors=16, minutes=0.001, lobes=0)
 
 
 def test_a_bake_whose_time_ended_early_says_so(prtbake: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
