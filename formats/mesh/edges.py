@@ -161,10 +161,32 @@ def remedy(positions: Array, faces: NDArray[np.integer], edges: Edges) -> str:
     nearest = cKDTree(positions[loose]).query(positions[loose], k=2)[0][:, 1]
     reach = float(f"{1.05 * nearest.max():.1e}")
     if _merged(positions, faces.astype(np.int64), loose, reach) is None:
-        return f"close the holes (of the {len(loose)} vertices there, the nearest two lie {nearest.min():.2g} apart)"
+        apart = f"of the {len(loose)} vertices there, the nearest two lie {nearest.min():.2g} apart"
+        return f"close the holes ({apart}){_open_pieces(positions, faces, loose)}"
     return (
         f"the {len(loose)} vertices there lie up to {nearest.max():.2g} from one another: merging vertices by distance "
         f"{reach:.2g} closes the surface"
+    )
+
+
+def _open_pieces(positions: Array, faces: NDArray[np.integer], loose: Indices) -> str:
+    """Say which pieces the loose vertices are of, if others are closed: an object with a ground plane, for example."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    count = len(positions)
+    row, column = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
+    links = coo_array((np.ones(len(row), np.int8), (row, column)), (count, count))
+    piece = connected_components(links, directed=False)[1]
+    pieces, unclosed = np.unique(piece[faces[:, 0]]), np.unique(piece[loose])
+    if len(unclosed) == len(pieces):
+        return ""
+    first = positions[piece == unclosed[0]]
+    low, high = (", ".join(f"{x:.4g}" for x in corner) for corner in (first.min(axis=0), first.max(axis=0)))
+    verb = "is" if len(unclosed) == 1 else "are"
+    return (
+        f"; {len(unclosed)} of its {len(pieces)} pieces {verb} open, the first from ({low}) to ({high}): leave out "
+        "what is not of the object, such as a ground"
     )
 
 

@@ -48,13 +48,21 @@ def encoded_within(
     form omits exceed the error.
     """
     step = trial.step
+    left = 0.5
     for attempt in range(_PASSES):
-        encoded = _encoded(asset, trial, step, error, lambda done: report(0.5 + 0.5 * done, "encoding"))
+        text = "encoding" if attempt == 0 else "encoding again, in finer steps"
+        # Another attempt may follow: each is half of what is left, so that the share never decreases.
+        encoded = _encoded(asset, trial, step, error, _within(report, 1.0 - left, left / 2.0, text))
+        left /= 2.0
         lost, original = float(encoded.lost.sum()), float(encoded.original.sum())
         if lost <= error**2 * original:
             return _compact(asset, trial, step, error, encoded), encoded
         step *= 0.998 * (error**2 * original / lost) ** (1.0 + attempt)
     return None
+
+
+def _within(report: Progress, first: float, share: float, text: str) -> Callable[[float], None]:
+    return lambda done: report(first + share * done, text)
 
 
 def untransformed(asset: Asset, error: float) -> Trial:

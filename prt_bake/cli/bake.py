@@ -16,7 +16,7 @@ from prt_bake.cli.shared.lobes import lobes_sentence
 from prt_bake.cli.shared.mesh_name import naming_mesh
 from prt_bake.cli.shared.next_step import say_next_of_asset
 from prt_bake.cli.shared.options import Force, OnlyEye, ReportFile, Seed, output_option, within
-from prt_bake.cli.shared.outputs import check_outputs, refuse_existing
+from prt_bake.cli.shared.outputs import check_outputs, refuse_existing, warn_of_small_disk
 from prt_bake.cli.shared.plan import plan_lines
 from prt_bake.cli.shared.progress import bake_progress, reporting, say, stopping
 
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from prt_bake.baking.bake import Progress
 
 OTHER_EFFORTS = "; --error, --minutes or --samples choose another"
+_BYTES_OF_A_COEFFICIENT = 8
+"""On the disk while a bake is written: 6 in the checkpoint, 2 in the asset."""
 
 
 @naming_mesh
@@ -162,10 +164,13 @@ def bake(
         "lobes": lobes,
     }
     if dry_run:
-        plan = baking.plan(transport, surface, *sampling, seed, error=error, minutes=minutes, **shared)
+        with reporting("plan", "pilot on a few vertices"):
+            plan = baking.plan(transport, surface, *sampling, seed, error=error, minutes=minutes, **shared)
         print("\n".join(plan_lines(plan)) if sys.stdout.isatty() else json.dumps(plan.as_json(), indent=2))
         return
     assert output is not None
+    bins, terms = 1 if for_eye else rings * sectors, 1 if for_light else (degree + 1) ** 2
+    warn_of_small_disk(output, len(surface.positions) * bins * terms * 3 * _BYTES_OF_A_COEFFICIENT)
     if resume and not (journal := journal_folder(output)).is_dir():
         say(f"{journal}: there is no checkpoint to resume from; the bake starts from the beginning")
     with reporting("bake", "pilot on a few vertices") as show, stopping() as stop:
@@ -203,8 +208,9 @@ def bake(
     for remark in _remarks(summary):
         print(remark)
     if not asset.complete:
+        ended = "the bake was stopped" if stop() else "its time ended before every vertex was baked"
         raise PrtbakeError(
-            f"{written}: the bake was stopped; the file is a valid partial asset; "
+            f"{written}: {ended}; the file is a valid partial asset; "
             f"the same command with --resume continues from {journal_folder(output).name} beside it"
         )
     if stop() and journal_folder(output).is_dir():

@@ -18,7 +18,14 @@ from prt_bake.network.file_names import importance_path
 @naming_mesh
 def importance(
     model: Annotated[Path, typer.Argument(metavar="MODEL.pt", help="Trained model.")],
-    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="Object that the model was trained on.")],
+    mesh: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="MESH",
+            help="Object that the model was trained on; by default that of its scene.",
+            show_default=False,
+        ),
+    ] = None,
     seconds: Annotated[
         float, typer.Option(min=0, max=1e6, help="Time limit of evaluating the model and fitting.")
     ] = 60.0,
@@ -47,14 +54,14 @@ def importance(
     from dataclasses import replace
 
     from formats.mesh import read_mesh
-    from prt_bake.baking.sources import require_device
+    from prt_bake.baking.sources import own_mesh, require_device
     from prt_bake.importance.fit import fit_importance
     from prt_bake.importance.module import IMPORTANCE_PRESETS, save_importance
     from prt_bake.importance.own_lobes import own_lobes
     from prt_bake.network.bssrdf import load_model
 
     require_device(device)
-    network, surface = load_model(model, device), read_mesh(mesh, drop_flat_faces=True)
+    network, surface = load_model(model, device), read_mesh(mesh or own_mesh(model), drop_flat_faces=True)
     if own_lobes(network) is not None:
         raise PrtbakeError(
             f"{model}: needs no importance module: `prtbake render` samples the lobes that it has itself"

@@ -48,12 +48,16 @@ _USUAL_SPP = {"scene": 64, "network": 256}
 def render(
     context: typer.Context,
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="model.pt (a network) or scene.toml (path traced).")],
-    mesh: Annotated[
-        Path,
-        typer.Argument(metavar="MESH", help="The object of the model or the scene."),
-    ],
     light: Lights,
     output: Annotated[Path, output_option("IMAGE", *IMAGE_SUFFIXES)],
+    mesh: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="MESH",
+            help="The object of the model or the scene; by default that of the source's scene.",
+            show_default=False,
+        ),
+    ] = None,
     spp: Annotated[
         int | None,
         typer.Option(
@@ -145,12 +149,14 @@ def render(
     checkpoint = checkpoint_path(output)
     outputs = {"--output": output, "--preview": preview, "--report": report, "the checkpoint": checkpoint}
     inputs: dict[str, Paths] = {"SOURCE": source, "the importance module": importance_path(source)}
-    check_outputs(outputs, inputs | {"MESH": mesh, "--light": light})
     refuse_other_kinds({"SOURCE": (source, SOURCE), "MESH": (mesh, ("mesh",)), "--light": (light, LIGHT)})
     from formats.mesh import read_mesh
+    from prt_bake.baking.sources import own_mesh
     from prt_bake.cli.shared.viewing import camera_for
     from prt_bake.lights.lighting import read_lighting
 
+    mesh = mesh or own_mesh(source)
+    check_outputs(outputs, inputs | {"MESH": mesh, "--light": light})
     is_scene = source.suffix.lower() == ".toml"
     refuse_unseen_exposure(exposure, output, preview)
     if normals is not None and not reflection:

@@ -100,7 +100,7 @@ def shade(
     mend: Mend = False,
     suns: Suns = "split",
 ) -> None:
-    """Relight a baked asset and write the picture.
+    """Relight a baked asset and write the picture, or a turntable.
 
     The picture shows subsurface light, with the sky and lights of finite size behind the object; --reflection adds
     light reflected at the surface. An .exr has the standard error of the bake (error.R, error.G, error.B) and the
@@ -108,10 +108,12 @@ def shade(
     """
     _refuse_ineffective(output, transparent, layers, turntable, error_picture, reflection, roughness, normals)
     refuse_unseen_exposure(exposure, output)
-    if tone_map != "none" and output.suffix.lower() in (".exr", ".hdr"):
+    stores_radiance = output.suffix.lower() in (".exr", ".hdr")
+    if tone_map != "none" and stores_radiance:
         raise typer.BadParameter(
             f"--tone-map: has no effect on {output.suffix.lower()}, which stores radiance; omit it"
         )
+    clips = tone_map == "none" and not stores_radiance
     if turntable is None and (frames, seconds) != (_FRAMES, _SECONDS):
         raise typer.BadParameter("--frames and --seconds apply to turntables; add --turntable eye")
     check_outputs(
@@ -126,6 +128,7 @@ def shade(
     from prt_bake.cli.shared.viewing import camera_for
     from prt_bake.lights.lighting import read_lighting
     from prt_bake.lights.skies.downsampled import rows_shown
+    from prt_bake.shading.exposure import exposure_remark
     from prt_bake.shading.selftest import warn_of_failed_selftest
 
     refuse_unavailable(output, size.width, size.height)
@@ -159,6 +162,8 @@ def shade(
         largest = write_error_picture(error_picture, picture)
     for remark in _remarks(baked, light, rotate, view.eye, picture, reflection):
         say(f"{asset}: {remark}")
+    if clips and (badly := exposure_remark(picture.image, picture.coverage, exposure)) is not None:
+        say(f"{output}: {badly}")
     if picture.reflects and normals is None and baked.mesh.flat_shaded:
         say(f"{asset}: {FLAT_SHADED}")
     print(f"{output}: error {picture.errors}")

@@ -10,7 +10,7 @@ import typer
 from formats.errors import PrtbakeError
 from formats.extras import EVALUATE, missing_sentence
 from prt_bake.cli.shared.kinds import refuse_other_kinds
-from prt_bake.cli.shared.next_step import say_next, unused
+from prt_bake.cli.shared.next_step import command, say_next, unused
 from prt_bake.cli.shared.options import Force, Seed, output_option
 from prt_bake.cli.shared.outputs import Paths, check_outputs, refuse_existing
 from prt_bake.cli.shared.progress import reporting, say, stopping
@@ -129,7 +129,7 @@ def train(
                 budget=budget,
             )
         stop.at_once = True
-        for sentence in _figures(network.metadata["training"]):
+        for sentence in _figures(network.metadata["training"], output, scene):
             print(f"{output}: {sentence}")
         if network.metadata["training"]["stopped"]:
             raise PrtbakeError(f"{output}: the training was stopped; the model is written, and --resume continues it")
@@ -155,7 +155,7 @@ def _details(row: "TrainingProgress") -> str:
     )
 
 
-def _figures(training: dict[str, Any]) -> list[str]:
+def _figures(training: dict[str, Any], output: Path, scene: Path) -> list[str]:
     """Return the results of a training as sentences."""
     sentences = [f"{training['steps']} steps, {training['walks']:,} paths in {training['seconds']:.0f} s of learning"]
     if "test_relative_rmse" in training:
@@ -165,7 +165,8 @@ def _figures(training: dict[str, Any]) -> list[str]:
             f"{test['transport']:.2%} (the noise, {test['transport_noise']:.2%}, is subtracted)"
         )
     if "relative_rmse" not in training:
-        return [*sentences, "its errors are not measured; `prtbake report training` measures them"]
+        measuring = command("prtbake", "report", "training", output, scene)
+        return [*sentences, f"its errors are not measured; `{measuring}` measures them"]
     rmse = training["relative_rmse"]
     names = {"transport": "of the transport function", "coefficients": "of the coefficients"}
     if rmse["transport_noise"] is None:

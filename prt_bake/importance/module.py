@@ -6,6 +6,7 @@ NAME.importance.pt, with the hash of that file.
 """
 
 import json
+import shlex
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -188,7 +189,7 @@ def load_importance(model_path: str | Path, device: str = "cpu") -> ImportanceMo
     StorageError if the model is missing.
     """
     path, model = importance_path(model_path), existing(model_path)
-    command = f"prtbake importance {model_path} MESH"
+    command = f"prtbake importance {shlex.quote(str(model_path))} MESH"
     remedy = f"fit it again: {command}"
     if not path.is_file():
         raise ModelError(f"{path}: there is no importance module beside {model.name}; fit one: {command}")

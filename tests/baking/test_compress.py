@@ -13,6 +13,7 @@ from bakers.error_covariance import unknown_covariance
 from formats.asset import Asset, check_asset, read_asset, write_asset
 from formats.errors import AssetError, QueryError
 from formats.mesh import Mesh
+from prt_bake.baking.compact_encoding import encoded_within, untransformed
 from prt_bake.baking.compress import compress, compress_file, unpacked
 from prt_bake.baking.output.sink import selftest
 from prt_bake.mathematics import sphere
@@ -291,6 +292,17 @@ def test_the_command_prints_its_result(tmp_path, prtbake: Run) -> None:
         failed = prtbake("compress", *words, "--force")
         assert failed.code == 1
         assert sentence in failed.err
+
+
+def test_progress_never_decreases() -> None:
+    asset = asset_with(of_rank(3, 0.1))
+    trial = dataclasses.replace(untransformed(asset, 0.01), step=100.0 * untransformed(asset, 0.01).step)
+    shown: list[tuple[float, str]] = []
+    assert encoded_within(asset, trial, 0.01, lambda *row: shown.append(row)) is not None
+    assert {text for _, text in shown} == {"encoding", "encoding again, in finer steps"}
+    shares = [share for share, _ in shown]
+    assert shares == sorted(shares)
+    assert shares[-1] <= 1.0
 
 
 def test_shading_a_compact_asset_does_not_load_torch(tmp_path) -> None:

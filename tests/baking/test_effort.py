@@ -1,15 +1,20 @@
 """What a bake does without options, and how it says so."""
 
+import itertools
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from bakers.plan import BakePlan
+from formats.errors import InputWarning, QueryError
 from prt_bake import bake
+from prt_bake.baking.adaptive import run
 from prt_bake.baking.bake import plan
 from prt_bake.baking.job.effort import DEFAULT_ERROR, choose_effort
 from tests.bakers.transports import Lobed, icosphere
 from tests.baking.clock import Clock, Timed
+from tests.cli.command_line import Run
 
 GRID: dict[str, Any] = {"rings": 2, "sectors": 4}
 
@@ -78,3 +83,27 @@ def test_the_plan_of_a_time_is_for_that_time(monkeypatch: pytest.MonkeyPatch) ->
     assert reached.seconds is not None
     assert reached.seconds < 60.0
     assert plan(Lobed(), icosphere(1), **GRID, minutes=float("inf")).seconds is None
+
+
+def test_a_time_too_short_for_the_first_pass_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    transport = Timed(Lobed(), Clock(monkeypatch), each=4e-5)
+    with pytest.warns(InputWarning, match=r"time is too short: the coarsest pass takes about \d\S* minutes") as warned:
+        asset = bake(transport, icosphere(3), rings=4, sectors=16, minutes=0.1, lobes=0)
+    assert len(warned) == 1
+    assert not asset.complete
+
+
+def test_a_time_too_short_for_one_vertex_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    transport = Timed(Lobed(), Clock(monkeypatch), each=4e-5)
+    with pytest.raises(QueryError, match="ended before its first vertex was done, and nothing was written; give it"):
+        bake(transport, icosphere(1), rings=4, sectors=16, minutes=0.001, lobes=0)
+
+
+def test_a_bake_whose_time_ended_early_says_so(prtbake: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = itertools.count()
+    monkeypatch.setattr(run, "vertices_at_once", lambda *_: 4)
+    monkeypatch.setattr(run.Run, "stopped", property(lambda _: next(asked) > 2))
+    grid = ["--rings", 2, "--sectors", 4, "--lobes", 0]
+    outcome = prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", *grid, "--minutes", 5)
+    assert outcome.code == 1
+    assert "its time ended before every vertex was baked; the file is a valid partial asset" in outcome.err

@@ -3,9 +3,12 @@
 import errno
 import json
 import os
+import re
+import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -281,6 +284,17 @@ def test_a_full_disk_leaves_the_older_output(
     assert_refused(outcome, str(tmp_path / name), "cannot be written: the disk is full")
     assert [path.name for path in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).read_text() == "an older output"
+
+
+def test_a_disk_that_may_be_too_small_is_named_before_the_bake(
+    prtbake: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bake = ["bake", "model.pt", "sphere.ply", "--rings", 1, "--sectors", 2, "--samples", 18, "-o"]
+    assert "of its disk" not in prtbake(*bake, tmp_path / "a.h5").err
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
+    outcome = prtbake(*bake, tmp_path / "b.h5")
+    assert outcome.code == 0
+    assert re.search(r"b\.h5: may need up to \d.*MB of its disk while it is written, where 0\.0 MB are", outcome.err)
 
 
 def test_two_writers_of_one_file_leave_one_of_both(tmp_path: Path) -> None:

@@ -1,11 +1,13 @@
-"""`prtbake bake SOURCE` without a mesh takes that of the source's scene."""
+"""Commands on a model or a scene without a mesh take that of the source's scene."""
 
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from formats.errors import QueryError
+from formats.image import read_image
 from formats.scene import read_scene
 from prt_bake.baking.sources import own_mesh
 from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF, save_model
@@ -32,6 +34,24 @@ def test_the_mesh_of_a_scene_is_baked(prtbake: Run, tmp_path: Path) -> None:
     assert (tmp_path / "a.h5").exists()
     over = prtbake("bake", "scene.toml", *few, "-o", "sphere.ply")
     assert over.code != 0
+
+
+def test_the_mesh_of_a_scene_is_rendered(prtbake: Run, tmp_path: Path) -> None:
+    few = ["--light", "sky.exr", "--size", "8x6", "--spp", 2]
+    pictures = [tmp_path / "a.exr", tmp_path / "b.exr"]
+    assert prtbake("render", "scene.toml", "sphere.ply", *few, "-o", pictures[0]).code == 0
+    assert prtbake("render", "scene.toml", *few, "-o", pictures[1]).code == 0
+    a, b = map(read_image, pictures)
+    assert np.array_equal(a, b)
+    over = prtbake("render", "scene.toml", *few, "-o", "sphere.ply")
+    assert over.code != 0
+
+
+def test_the_mesh_of_a_model_is_rendered_and_learnt(prtbake: Run, moved: Path) -> None:
+    few = ["--light", "sky.exr", "--size", "8x6", "--spp", 2]
+    assert prtbake("render", moved / "a.pt", *few, "-o", moved / "a.exr").code == 0
+    (moved / "sphere.ply").unlink()
+    assert f"{moved / 'sphere.ply'}: " in prtbake("importance", moved / "a.pt").err
 
 
 def test_a_model_finds_its_scene(moved: Path, monkeypatch: pytest.MonkeyPatch) -> None:

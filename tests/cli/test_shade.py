@@ -53,6 +53,13 @@ def test_shade_makes_a_picture(prtbake: Run, tmp_path: Path, suffix: str) -> Non
         assert (layers["error"][0, 0].max(), layers["coverage"][0, 0], layers["coverage"][15, 20]) == (0.0, 0.0, 1.0)
 
 
+def test_an_object_that_clips_is_remarked_where_it_clips(prtbake: Run, polished: Path, tmp_path: Path) -> None:
+    bright = ["shade", polished, "--light", "sun:1,1,1:50,50,50", "--size", "20x15", "-o"]
+    assert "brighter than white and is clipped; --exposure -" in prtbake(*bright, tmp_path / "a.png").err
+    assert "brighter than white" not in prtbake(*bright, tmp_path / "b.png", "--tone-map", "agx").err
+    assert "brighter than white" not in prtbake(*bright, tmp_path / "c.exr").err
+
+
 def test_shade_takes_several_lights(prtbake: Run, tmp_path: Path) -> None:
     """The picture under a sky, a sun and a lights file is the sum of those under each, up to clamping."""
     (tmp_path / "lights.toml").write_text("[[directional]]\ndirection = [0, 1, 0]\nirradiance = [1, 0.5, 0.2]\n")

@@ -32,12 +32,15 @@ def test_minutes_end_with_a_sentence_on_quality_and_parts_without_time_are_left_
     prtbake: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(budget, "_LATE", 1e9)
-    trained = prtbake("train", "scene.toml", "-o", tmp_path / "m.pt", "--minutes", 0.02)
+    model = tmp_path / "my m.pt"
+    trained = prtbake("train", "scene.toml", "-o", model, "--minutes", 0.02)
     assert trained.code == 0, trained.err
-    assert "no report: no time is left for it; to write it later, run 'prtbake report training " in trained.err
-    assert "no importance module: no time is left for it; to fit it later, run 'prtbake importance " in trained.err
-    assert {path.name for path in tmp_path.iterdir()} == {"m.pt", "m.train.pt"}
-    error = load_model(tmp_path / "m.pt").metadata["training"]["relative_rmse"]["coefficients"]
+    again = f"to write it later, run `prtbake report training '{model}' scene.toml`"
+    assert f"no report: no time is left for it; {again}" in trained.err
+    again = f"to fit it later, run `prtbake importance '{model}' sphere.ply`"
+    assert f"no importance module: no time is left for it; {again}" in trained.err
+    assert {path.name for path in tmp_path.iterdir()} == {"my m.pt", "my m.train.pt"}
+    error = load_model(model).metadata["training"]["relative_rmse"]["coefficients"]
     assert f"m.pt: the network is {100 * error:.1f} % off (" in trained.out
     assert "ten minutes more would bring about" in trained.out
 
@@ -51,7 +54,8 @@ def test_ctrl_c_in_the_final_errors_keeps_the_model(
     monkeypatch.setattr(PathTracedData, "errors", interrupted)
     trained = prtbake("train", "scene.toml", "-o", tmp_path / "m.pt", "--steps", 2)
     assert trained.code == 1
-    assert "its errors are not measured; `prtbake report training` measures them" in trained.out
+    measuring = f"prtbake report training {tmp_path / 'm.pt'} scene.toml"
+    assert f"its errors are not measured; `{measuring}` measures them" in trained.out
     assert "the training was stopped; the model is written, and --resume continues it" in trained.err
     assert isinstance(load_model(tmp_path / "m.pt"), NeuralBSSRDF)
 
@@ -66,6 +70,6 @@ def test_ctrl_c_in_the_report_leaves_out_the_rest(
     monkeypatch.setattr(report, "assess", interrupted)
     trained = prtbake("train", "scene.toml", "-o", tmp_path / "m.pt", "--steps", 2)
     assert trained.code == 130
-    assert "no report: stopped; to write it later, run 'prtbake report training " in trained.err
+    assert "no report: stopped; to write it later, run `prtbake report training " in trained.err
     assert "the model is complete, and what should follow it was stopped" in trained.err
     assert {path.name for path in tmp_path.iterdir()} == {"m.pt", "m.train.pt"}

@@ -11,7 +11,7 @@ import numpy as np
 from bakers.adaptive.calibration import Tally
 from bakers.adaptive.records import RefinementSettings
 from formats.asset import Asset
-from formats.errors import QueryError
+from formats.errors import QueryError, warn
 from prt_bake.baking.adaptive.adaptive_job import MANY, AdaptiveJob, vertices_at_once
 from prt_bake.baking.adaptive.checkpoints import EVALUATED, PassCheckpoints
 from prt_bake.baking.adaptive.noise_pilot import first_refinement, refuse_out_of_reach
@@ -37,6 +37,8 @@ runs until it is stopped.
 """
 UNINTERRUPTED = 5.0
 """Seconds from the start during which a pilot ignores a stop, as a block does."""
+LATE = 1.2
+"""Predicted time of the first pass over the time left from which the bake warns."""
 TIME_TO_USE = 0.75
 """Largest predicted time of a pass over the time left."""
 
@@ -69,12 +71,24 @@ class Run:
         self.asset: Asset | None = None
         self.rows: list[tuple[float, float, float]] = []
         self._last_status: BakeStatus | None = None
+        self._is_late = False
 
     def report(self, done: int, status: BakeStatus) -> None:
         """Reports that `done` vertices of a pass are finished."""
         self._last_status = status
         if self.work.progress is not None:
             self.work.progress(done, len(self.job.vertices), status)
+
+    def warn_if_late(self, forecast: Forecast, done: int) -> None:
+        """Warns once if the first pass will not end before the deadline, after `done` of its vertices."""
+        seconds, allowed = forecast.of_pass(done), self.deadline - forecast.began
+        if self.asset is None and not self._is_late and seconds is not None and seconds > LATE * allowed:
+            self._is_late = True
+            warn(
+                f"the time is too short: the coarsest pass takes about {seconds / 60.0:.2g} minutes, of which "
+                f"{max(0.0, allowed) / 60.0:.2g} are left, and what is not baked will be black; give more minutes, "
+                "fewer rings and sectors, or a mesh of fewer vertices"
+            )
 
     def report_pilot(self) -> None:
         """Reports that a pilot runs after the first pass, which takes a while."""
@@ -179,6 +193,7 @@ def _pass(run: Run, settings: PassSettings) -> Pass | None:
 
     def report(done: int, tally: Tally) -> None:
         run.report(done, progress.status(done, tally, run.work, stage))
+        run.warn_if_late(forecast, done)
 
     done = _earlier_result(settings, checkpoints)
     if done is None:

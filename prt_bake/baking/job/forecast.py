@@ -71,15 +71,20 @@ class Forecast:
     """Time of all work after the pass, over that of the pass."""
     deadline: float = math.inf
     """By the monotonic clock."""
-    began: float = field(default_factory=time.monotonic)
+    began: float = field(default_factory=lambda: time.monotonic())
+
+    def of_pass(self, done: int) -> float | None:
+        """Predicted seconds of the whole pass, after its first `done` vertices; None without a prediction."""
+        work_done, total_work = float(self.work[:done].sum()), float(self.work.sum())
+        if total_work == 0.0:
+            return 0.0
+        return (time.monotonic() - self.began) * total_work / work_done if work_done > 0.0 else self.predicted
 
     def left(self, done: int) -> float | None:
         """Predicted seconds until the target, after the first `done` vertices of the pass."""
         now = time.monotonic()
         work_done, total_work = float(self.work[:done].sum()), float(self.work.sum())
-        seconds = (now - self.began) * total_work / work_done if work_done > 0.0 else self.predicted
-        if total_work == 0.0:
-            seconds = 0.0
+        seconds = self.of_pass(done)
         by_deadline = self.deadline - now if math.isfinite(self.deadline) else None
         if seconds is None or not math.isfinite(self.after):
             return by_deadline

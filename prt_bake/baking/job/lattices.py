@@ -20,6 +20,7 @@ Index = NDArray[np.int64]
 SMALLEST_LATTICE = 16
 COPIES = 16, 256
 GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
+_AT_ONCE = 1 << 20
 POOL_DIRECTIONS = 1 << 14
 """Directions in all copies of a lattice together, as many as a network holds tables for."""
 _TURN_STREAM, _VALIDATION_STREAM, _POOL_STREAM, _PILOT_STREAM, _PAIR_STREAM, _COPY_STREAM = 21, 22, 23, 24, 25, 27
@@ -90,5 +91,15 @@ def validation_bins(seed: int, bins: int, share: float) -> Callable[[Index], NDA
 
 
 def sample_without_replacement(seed: int, many: int, count: int) -> Index:
-    """`count` of the numbers 0 … many − 1, drawn without replacement, in the order drawn."""
-    return np.argsort(hashed(_PILOT_STREAM, seed, np.arange(many)), kind="stable")[:count]
+    """`count` of the numbers 0 … many − 1, drawn without replacement, in the order drawn: those of the least hashes.
+
+    Draws from 2²⁰ numbers at once, since the bins of a fine mesh are too many to sort.
+    """
+    drawn, keys = np.zeros(0, np.int64), np.zeros(0, np.uint64)
+    for first in range(0, many, max(_AT_ONCE, count)):
+        numbers = np.arange(first, min(first + max(_AT_ONCE, count), many))
+        drawn, keys = np.append(drawn, numbers), np.append(keys, hashed(_PILOT_STREAM, seed, numbers))
+        if len(drawn) > count:
+            least = np.argpartition(keys, count)[:count]
+            drawn, keys = drawn[least], keys[least]
+    return drawn[np.argsort(keys)]

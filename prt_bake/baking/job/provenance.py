@@ -50,7 +50,7 @@ def outcome(
 
 def nothing_done() -> QueryError:
     """The error to raise if a bake was stopped before it had anything to write."""
-    return QueryError("the bake was stopped before its first vertex was done; nothing was written")
+    return QueryError("the bake ended before its first vertex was done, and nothing was written; give it more time")
 
 
 def not_finite(transport: Any, where: str) -> QueryError:

@@ -8,7 +8,7 @@ from typing import Any
 from bakers.transport import prepared, transport_kind, up_to
 from formats.asset import Asset, AssetHead, read_asset
 from formats.asset.lobes import LOBE_BYTES, add_lobes_to_file
-from prt_bake.baking.job.forecast import BakeStatus, ErrorFigures
+from prt_bake.baking.job.forecast import BakeStatus
 from prt_bake.baking.job.pruning_record import Pruning
 from prt_bake.baking.job.work import Progress, Work
 from prt_bake.baking.lobes.pilot import LobePlan, none_gained, plan_lobes
@@ -42,14 +42,13 @@ class LobesOfBake:
         if self._search is None or self._plan is None:
             return asset
         rmse = asset.provenance["estimated_relative_rmse"]
-        figures = ErrorFigures(rmse["total"] or 0.0, rmse["percentile_95_over_vertices"] or 0.0)
         evaluations, vertices = float(work.evaluations), work.pruning.vertices
 
         def report(done: int) -> None:
             if work.progress is not None:
                 left = self.seconds * (1.0 - done / len(vertices))
-                row = (work.seconds, evaluations, figures.total)
-                work.progress(done, len(vertices), BakeStatus(row, left, STAGE, figures))
+                row = (work.seconds, evaluations, rmse["total"] or 0.0)
+                work.progress(done, len(vertices), BakeStatus(row, left, STAGE))
 
         lobes = find_lobes(self._search, self._plan, vertices, work.workers, store, lambda: work.stopped, report)
         if lobes is None:

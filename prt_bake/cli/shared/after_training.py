@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from formats.errors import PrtbakeError
+from prt_bake.cli.shared.next_step import command
 from prt_bake.cli.shared.progress import Report, reporting, say
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ def report(
     from prt_bake.trainer.report.report import report_training
     from prt_bake.trainer.report.summary import criterion_line
 
-    again = f"run 'prtbake report training {model} {scene.path}'"
+    again = f"run `{command('prtbake', 'report', 'training', model, scene.path)}`"
     within = None if budget is None else budget.report(module)
     if within == 0.0:
         say(f"no report: no time is left for it; to write it later, {again}")
@@ -70,7 +71,7 @@ def importance(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int, 
     if own_lobes(network) is not None:
         say("no importance module: `prtbake render` samples the lobes of the network")
         return
-    again = f"to fit it later, run 'prtbake importance {model} {scene.mesh_path}'"
+    again = f"to fit it later, run `{command('prtbake', 'importance', model, scene.mesh_path)}`"
     seconds = _seconds(network, "importance") if budget is None else budget.importance()
     if seconds == 0.0:
         say(f"no importance module: no time is left for it; {again}")

@@ -14,10 +14,15 @@ from formats.errors import PrtbakeError
 _silent = False
 
 
+def command(*words: object) -> str:
+    """A command as a user types it, with quotes where the shell needs them."""
+    return shlex.join(map(str, words))
+
+
 def say_next(*words: object) -> None:
-    """Print a command on stderr, with quotes where the shell needs them; nothing inside `without_next`."""
+    """Print a command on stderr; nothing inside `without_next`."""
     if not _silent:
-        print(f"next: {shlex.join(map(str, words))}", file=sys.stderr, flush=True)
+        print(f"next: {command(*words)}", file=sys.stderr, flush=True)
 
 
 @contextmanager

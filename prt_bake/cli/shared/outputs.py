@@ -1,6 +1,7 @@
 """Checks of a command's outputs, before it computes anything: none is an input, and each can be written."""
 
 import os
+import shutil
 import tempfile
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
@@ -10,6 +11,7 @@ from typing import Any
 from formats.atomic import refuse_unwritable, storage_error
 from formats.errors import StorageError
 from formats.file_names import named_file
+from prt_bake.cli.shared.progress import say
 
 Paths = Path | str | Iterable[Path | str] | None
 """The value of an option or argument; None and texts that name no file, such as sun:0,1,0, are left out."""
@@ -56,6 +58,16 @@ def refuse_existing(paths: Iterable[Path], force: bool, resume: bool | None = No
         if path.exists():
             other = "" if resume is None else ", or --resume to continue"
             raise StorageError(f"{path}: already exists; add --force to replace it{other}")
+
+
+def warn_of_small_disk(path: Path, most: int) -> None:
+    """Print a message if the disk of an output has less space left than the `most` bytes that the work may need."""
+    left = shutil.disk_usage(os.path.dirname(os.path.realpath(path))).free
+    if left < most:
+        say(
+            f"{path}: may need up to {most / 1e6:,.1f} MB of its disk while it is written, where {left / 1e6:,.1f} MB "
+            "are left"
+        )
 
 
 def _paths(paths: Paths) -> list[Path]:

@@ -9,6 +9,7 @@ from bakers.adaptive.calibration import Correction, Tally
 from bakers.adaptive.lattice_noise import LatticeNoise, fit_lattice_noise
 from bakers.adaptive.records import validation_noise
 from bakers.adaptive.view_levels import view_levels
+from prt_bake.baking.job import lattices
 from prt_bake.baking.job.lattices import (
     lattice_for,
     pools_for,
@@ -90,6 +91,14 @@ def test_bins_are_drawn_by_the_seed_with_their_share() -> None:
     assert validation_bins(1, 8, 1.0)(np.arange(9)).all()
     assert not validation_bins(1, 8, 0.0)(np.arange(9)).any()
     assert len(set(sample_without_replacement(1, 100, 30).tolist())) == 30
+
+
+@pytest.mark.parametrize("count", [0, 30, 99, 100])
+def test_numbers_are_drawn_alike_from_parts_and_at_once(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+    at_once = sample_without_replacement(1, 100, count)
+    assert len(set(at_once.tolist())) == count
+    monkeypatch.setattr(lattices, "_AT_ONCE", 7)
+    np.testing.assert_array_equal(sample_without_replacement(1, 100, count), at_once)
 
 
 @pytest.mark.parametrize("share", [0.3 / 1024, 0.003, 0.02])

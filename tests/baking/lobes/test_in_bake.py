@@ -37,6 +37,7 @@ class StopInLobes:
 
     def progress(self, done: int, total: int, status: BakeStatus) -> None:
         self.stopped |= status.stage == "lobes" and done >= total // 2
+        assert status.stage != "lobes" or status.figures is None  # so that vertices are counted, and no old error shown
 
     def stop(self) -> bool:
         return self.stopped

@@ -94,6 +94,16 @@ def test_faults_name_their_first_place() -> None:
     assert fault.endswith("close the holes (of the 3 vertices there, the nearest two lie 1.4 apart)")
 
 
+def test_an_open_piece_beside_closed_ones_is_named() -> None:
+    ball = sphere_mesh()
+    ground = np.array([[-2.0, -1.5, -2.0], [2.0, -1.5, -2.0], [2.0, -1.5, 2.0], [-2.0, -1.5, 2.0]])
+    sheet = np.array([[0, 2, 1], [0, 3, 2]]) + len(ball.positions)
+    both = build_mesh(np.concatenate([ball.positions, ground]), np.concatenate([ball.faces, sheet]))
+    (fault,) = closedness_faults(both)
+    assert "4 edges are open" in fault
+    assert "1 of its 2 pieces is open, the first from (-2, -1.5, -2) to (2, -1.5, 2): leave out what is not" in fault
+
+
 def halves(gap: np.ndarray) -> Mesh:
     """A ball whose upper half has its own equator, moved by `gap`: [3] or [12,3]."""
     ball = sphere_mesh()
