@@ -163,7 +163,7 @@ def shade(
         from prt_bake.shading.error_picture import write_error_picture
 
         largest = write_error_picture(error_picture, picture)
-    for remark in _remarks(baked, light, rotate, view.eye, picture, reflection):
+    for remark in _remarks(baked, light, rotate, picture, reflection):
         say(f"{asset}: {remark}")
     if picture.reflects and normals is None and baked.mesh.flat_shaded:
         say(f"{asset}: {FLAT_SHADED}")
@@ -314,10 +314,10 @@ def _shows(picture: Any) -> str:
     return f"subsurface light, unscattered light left out{reflected}"
 
 
-def _remarks(baked: Any, lights: list[str], rotate: float, eye: Any, picture: Any, reflection: bool) -> Iterator[str]:
+def _remarks(baked: Any, lights: list[str], rotate: float, picture: Any, reflection: bool) -> Iterator[str]:
     from prt_bake.shading.surface_reflection import reflects
 
-    yield from _fixed_light_and_view(baked, lights, rotate, eye)
+    yield from _fixed_light(baked, lights, rotate)
     if not baked.complete:
         yield f"is a partial bake; {picture.unlit:.1%} of the visible object was not baked and is black"
     if reflection and not picture.reflects:
@@ -326,16 +326,13 @@ def _remarks(baked: Any, lights: list[str], rotate: float, eye: Any, picture: An
         yield f"light reflected at its surface (index {baked.eta:g}) is not shown; --reflection adds it"
 
 
-def _fixed_light_and_view(baked: Any, lights: list[str], rotate: float, eye: Any) -> Iterator[str]:
-    """Yield remarks if an asset made for one light or one eye is shown under another one."""
+def _fixed_light(baked: Any, lights: list[str], rotate: float) -> Iterator[str]:
+    """Yield a remark if an asset made for one light is shown under another one."""
     reasons = {item["item"]: item["reason"] for item in baked.left_out}
     if "other lights" in reasons and (rotate % 360.0 or not _same_light(baked, lights)):
         rotated = f" rotated by {rotate:g} degrees" if rotate % 360.0 else ""
         names = " and ".join(Path(light).name for light in lights)
         yield f"{reasons['other lights']}: the picture shows that light, not {names}{rotated}"
-    made_for = baked.provenance.get("settings", {}).get("for_eye")
-    if made_for is not None and any(abs(a - b) > 1e-6 * (1.0 + abs(b)) for a, b in zip(eye, made_for, strict=True)):
-        yield f"{reasons.get('other views', 'made for one eye')}: from other positions its colours are wrong"
 
 
 def _same_light(baked: Any, lights: list[str]) -> bool:
