@@ -3,6 +3,7 @@
 Each function returns the value in the type that the package works with, or raises QueryError with the argument's name.
 """
 
+import math
 import operator
 import os
 from collections.abc import Sequence
@@ -20,6 +21,8 @@ _KNOWN = {
     "Mesh": "a mesh",
     "NeuralBSSRDF": "a model",
     "Lighting": "a lighting",
+    "AssetLight": "what prt.light_for returns",
+    "SunsApart": "what prt.suns_apart returns",
     "Camera": "a camera",
     "Picture": "a picture; give its .image",
     "RenderedPicture": "a picture; give its .image",
@@ -35,6 +38,8 @@ def described(value: object) -> str:
     ('a list', 'None', "the text '0,1,4'")
     """
     name, origin = type(value).__name__, type(value).__module__.split(".")[0]
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
     if value is None or isinstance(value, bool | int | float):
         return repr(value)
     if isinstance(value, str):
@@ -68,19 +73,39 @@ def whole_number(name: str, value: Any) -> int:
 
 
 def real_number(name: str, value: Any) -> float:
-    """A number, not a text of one."""
+    """A number, not a text or an array of one."""
+    kind = getattr(getattr(value, "dtype", None), "kind", "f")
     try:
-        if not isinstance(value, str | bytes | bool):
-            return float(value)
-    except (TypeError, ValueError):
+        if not isinstance(value, str | bytes | bool) and kind not in "bc" and not getattr(value, "ndim", 0):
+            return float(value.detach() if hasattr(value, "detach") else value)
+    except (TypeError, ValueError, OverflowError):
         pass
     raise QueryError(f"{name} must be a number, found {described(value)}")
 
 
-def numbers(name: str, value: Any) -> NDArray[Any]:
-    """Real numbers as an array: of NumPy, of lists, of torch tensors, which are detached."""
+def finite_number(name: str, value: Any) -> float:
+    """A number that is neither infinite nor NaN."""
+    number = real_number(name, value)
+    if not math.isfinite(number):
+        raise QueryError(f"{name}: expected a finite number, found {number}")
+    return number
+
+
+def flag(name: str, value: Any) -> bool:
+    """True or False; a text such as "no" would count as True."""
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    raise QueryError(f"{name}: expected True or False, found {described(value)}")
+
+
+def numbers(name: str, value: Any, kinds: str = "fiu") -> NDArray[Any]:
+    """Real numbers as an array: of NumPy, of lists, of torch tensors, which are detached. kinds: of the dtype."""
     if isinstance(value, str):
         raise QueryError(f"{name}: expected an array of numbers, found {described(value)}")
+    if isinstance(value, np.ma.MaskedArray) and (masked := int(np.ma.getmaskarray(value).sum())):
+        raise QueryError(
+            f"{name}: expected numbers, found a masked array without {masked} of them; give its .filled(number)"
+        )
     if hasattr(value, "detach"):
         value = value.detach().cpu()
         value = (value.float() if value.element_size() <= 2 and value.is_floating_point() else value).numpy()
@@ -88,7 +113,7 @@ def numbers(name: str, value: Any) -> NDArray[Any]:
         array = np.asarray(value)
     except (TypeError, ValueError) as fault:
         raise QueryError(f"{name}: expected numbers in an array of one shape, found {described(value)}") from fault
-    if array.dtype.kind not in "fiu":
+    if array.dtype.kind not in kinds:
         found = f"{array.dtype} values" if array.ndim and array.dtype.kind != "O" else described(value)
         raise QueryError(f"{name}: expected real numbers, found {found}")
     return array

@@ -87,7 +87,7 @@ def create_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as cause:
-        raise StorageError(f"{folder}: cannot be created: {cause.strerror}; choose another --out") from cause
+        raise StorageError(f"{folder}: cannot be created: {cause.strerror}; choose another folder") from cause
 
 
 def remove_parts(folder: Path, name: str = "*") -> None:

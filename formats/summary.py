@@ -73,7 +73,9 @@ def _array(array: Any) -> str:
 
 
 def _record(value: Any) -> str:
-    """A record inside another: its name and the shapes of its arrays."""
+    """A record inside another: its sentence if it has one, else its name and the shapes of its arrays."""
+    if "__str__" in vars(type(value)):
+        return _cut(str(value))
     fields = ((each.name, getattr(value, each.name)) for each in dataclasses.fields(value))
     arrays = [f"{name} {list(array.shape)}" for name, array in fields if isinstance(array, np.ndarray)]
     return _cut(f"{type(value).__name__}({', '.join(arrays)})")

@@ -14,7 +14,21 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from formats.asset import Asset, read_asset, write_asset
-    from formats.errors import PrtbakeError
+    from formats.errors import (
+        AssetError,
+        ClusterError,
+        FormatError,
+        ImageError,
+        InputWarning,
+        LightError,
+        MeshError,
+        ModelError,
+        PrtbakeError,
+        QueryError,
+        SamplesError,
+        SceneError,
+        StorageError,
+    )
     from formats.image import read_image, read_layers, srgb, write_image
     from formats.mesh import Mesh, read_mesh, write_mesh
     from formats.scene import Scene
@@ -43,13 +57,25 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Asset",
+    "AssetError",
     "Camera",
+    "ClusterError",
+    "FormatError",
     "Frames",
+    "ImageError",
+    "InputWarning",
+    "LightError",
     "Lighting",
     "Mesh",
+    "MeshError",
+    "ModelError",
     "NeuralBSSRDF",
     "PrtbakeError",
+    "QueryError",
+    "SamplesError",
     "Scene",
+    "SceneError",
+    "StorageError",
     "add_lobes",
     "bake",
     "compare",
@@ -91,13 +117,25 @@ __version__: str
 # Public name → (module, name in it); an empty name is the module itself.
 _ORIGIN = {
     "Asset": ("formats.asset", "Asset"),
+    "AssetError": ("formats.errors", "AssetError"),
     "Camera": ("prt_bake.geometry.camera", "Camera"),
+    "ClusterError": ("formats.errors", "ClusterError"),
+    "FormatError": ("formats.errors", "FormatError"),
     "Frames": ("prt_bake.shading.frames.frames", "Frames"),
+    "ImageError": ("formats.errors", "ImageError"),
+    "InputWarning": ("formats.errors", "InputWarning"),
+    "LightError": ("formats.errors", "LightError"),
     "Lighting": ("prt_bake.lights.lighting", "Lighting"),
     "Mesh": ("formats.mesh", "Mesh"),
+    "MeshError": ("formats.errors", "MeshError"),
+    "ModelError": ("formats.errors", "ModelError"),
     "NeuralBSSRDF": ("prt_bake.network.bssrdf", "NeuralBSSRDF"),
     "PrtbakeError": ("formats.errors", "PrtbakeError"),
+    "QueryError": ("formats.errors", "QueryError"),
+    "SamplesError": ("formats.errors", "SamplesError"),
     "Scene": ("formats.scene", "Scene"),
+    "SceneError": ("formats.errors", "SceneError"),
+    "StorageError": ("formats.errors", "StorageError"),
     "add_lobes": ("prt_bake.baking.lobes.addition", "add_lobes"),
     "bake": ("prt_bake.baking.bake", "bake"),
     "compare": ("prt_bake.comparison.metrics", "compare"),

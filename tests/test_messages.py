@@ -33,7 +33,7 @@ def test_errors_about_files_begin_with_the_file_or_the_argument() -> None:
     found = []
     for path in sorted((ROOT / "formats").rglob("*.py")):
         for line, kind, text in messages(path.read_text(encoding="utf-8")):
-            if kind.endswith("Error") and kind != "ValueError" and not text.startswith(("{", "--light {", "mesh: ")):
+            if kind.endswith("Error") and kind != "ValueError" and not text.startswith(("{", "light {", "mesh: ")):
                 found.append((path.name, line, text))
     assert found == []
 

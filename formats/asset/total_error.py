@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from formats.hdf5_file import attribute
+from formats.summary import summary
 
 ATTRIBUTE = "network_error"
 
@@ -45,6 +46,8 @@ class TotalError:
     network: ErrorInterval | None
     bake: float | None
     path_traced: bool = False
+
+    __repr__ = summary
 
     @property
     def total(self) -> ErrorInterval | None:

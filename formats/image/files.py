@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.arguments import described
 from formats.atomic import existing, replacing
 from formats.errors import ImageError
 from formats.image.exr import Layers, read_exr, read_exr_alpha, read_exr_data, read_exr_layers, write_exr
@@ -22,6 +23,12 @@ _DATA_READERS = {".exr": read_exr_data, ".png": read_png_data, ".jpg": read_jpeg
 READABLE = tuple(_READERS)
 """The suffixes that `read_image` reads."""
 _WRITABLE = (".exr", ".hdr", ".png")
+_CHANNELS = {"R", "G", "B", "RGB", "RGBA"}
+_HEADER = {
+    *("channels", "compression", "dataWindow", "displayWindow", "lineOrder", "pixelAspectRatio", "screenWindowCenter"),
+    *("screenWindowWidth", "type", "name", "version", "view", "chunkCount", "tiles", "chromaticities"),
+}
+"""Attributes that an `.exr` has by its format."""
 
 
 def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
@@ -117,11 +124,11 @@ def write_image(
         exposure: in stops. `.png` is multiplied by 2^exposure and clipped to [0,1]; other formats ignore it.
         layers: further layers [H,W,3] or [H,W] of an `.exr`, by name; other formats ignore them.
         attributes: texts in the header of an `.exr`, by name; other formats ignore them.
-        alpha: [H,W], by which the image is premultiplied; the alpha channel of `.exr` and `.png`.
+        alpha: [H,W] from 0 to 1, by which the image is premultiplied; the alpha channel of `.exr` and `.png`.
 
     Raises:
-        ImageError: an unknown suffix, a wrong shape, pixels that the format cannot store (NaN in `.png` and `.hdr`),
-            alpha for `.hdr`.
+        ImageError: an unknown suffix, a wrong shape, a name that `.exr` has another use for, pixels that the format
+            cannot store (NaN in `.png` and `.hdr`), alpha for `.hdr`.
         StorageError: the disk is full or read-only.
 
     >>> import numpy as np
@@ -136,10 +143,13 @@ def write_image(
     shape = np.shape(image)
     if len(shape) != 3 or shape[2] != 3 or 0 in shape:
         raise ImageError(f"{path}: image: expected shape [H,W,3], found {list(shape)}")
+    _refuse_names(path, layers or {}, attributes or {}, alpha is not None)
     for name, pixels in (layers or {}).items():
         if np.shape(pixels) not in (shape, shape[:2]):
             expected = f"{list(shape)} or {list(shape[:2])}"
             raise ImageError(f"{path}: layer {name}: expected shape {expected}, found {list(np.shape(pixels))}")
+        if (kind := np.asarray(pixels).dtype).kind not in "fiub":
+            raise ImageError(f"{path}: layer {name}: expected real numbers, found {kind} values")
     if alpha is not None and suffix == ".hdr":
         raise ImageError(f"{path}: alpha: an .hdr cannot store it; write .exr or .png, or leave it out")
     if alpha is not None and np.shape(alpha) != shape[:2]:
@@ -156,6 +166,22 @@ def write_image(
             write_rgbe(part, image)
         else:
             write_png(part, image, exposure, alpha)
+
+
+def _refuse_names(
+    path: str | os.PathLike[str], layers: Mapping[str, object], attributes: Mapping[str, object], alpha: bool
+) -> None:
+    """Raise ImageError for names of layers and attributes that an `.exr` cannot have, or that mean something else."""
+    channels = _CHANNELS | ({"A"} if alpha else set())
+    for what, names, taken in (("layer", layers, channels), ("attribute", attributes, _HEADER)):
+        for name in names:
+            if not isinstance(name, str) or not name.isprintable() or name.strip(" .") != name or not name:
+                raise ImageError(f"{path}: {what}: expected a name of printable characters, found {name!r}")
+            if name in taken:
+                raise ImageError(f"{path}: {what} {name}: is the name of a part of the picture; choose another")
+    for name, value in attributes.items():
+        if not isinstance(value, str):
+            raise ImageError(f"{path}: attribute {name}: expected a text, found {described(value)}")
 
 
 def _suffix(path: str | os.PathLike[str], verb: str, known: tuple[str, ...]) -> str:

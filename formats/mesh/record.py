@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.arguments import described
+from formats.arguments import described, numbers
 from formats.errors import MeshError, QueryError, warn
 from formats.mesh import creases, geometry
 from formats.mesh.edges import edges_of, inside_out, two_sided_faces
@@ -78,7 +78,10 @@ class Mesh:
     flat_shaded: bool = False
 
     def __post_init__(self) -> None:
-        count, triangles = len(self.positions), len(self.faces)
+        for name in ("positions", "faces", "normals", "uv", "corner_uv"):
+            if getattr(self, name) is not None or not name.endswith("uv"):
+                object.__setattr__(self, name, numbers(f"mesh: {name}", getattr(self, name)))
+        count, triangles = (len(array) if array.ndim else 0 for array in (self.positions, self.faces))
         expected = {
             **{"positions": (count, 3), "faces": (triangles, 3), "normals": (count, 3)},
             **{"uv": (count, 2), "corner_uv": (triangles, 3, 2)},

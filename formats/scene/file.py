@@ -80,7 +80,9 @@ def find_table_faults(path: Path) -> list[str]:
 def _read_tables(path: Path) -> dict[str, Any]:
     tables = read_toml(path, SceneError, "a scene file")
     if "object" not in tables and ("directional" in tables or "sky" in tables):
-        raise SceneError(f"{path}: is a lights file; expected a scene, with [object]; give lights to render as --light")
+        raise SceneError(
+            f"{path}: is a lights file; expected a scene, with [object]; a lights file is the light of a picture"
+        )
     return tables
 
 

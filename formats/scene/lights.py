@@ -161,14 +161,14 @@ def parse_sun(text: str) -> DirectionalLight:
     """
     numbers = _numbers(text)
     if [len(field) for field in numbers] not in ([3], [3, 3], [3, 1], [3, 3, 1]):
-        raise LightError(f"--light {text}: expected {SUN_SYNTAX}, such as sun:0,1,0.5:3,3,2.8:0.53")
+        raise LightError(f"light {text}: expected {SUN_SYNTAX}, such as sun:0,1,0.5:3,3,2.8:0.53")
     irradiance = numbers[1] if len(numbers) > 1 and len(numbers[1]) == 3 else [1.0, 1.0, 1.0]
     diameter = numbers[-1][0] if len(numbers[-1]) == 1 else 0.0
     if not all(0 <= value <= _BRIGHTEST for value in irradiance):
-        raise LightError(f"--light {text}: irradiance: expected {_EXPECTED['irradiance']}, found {irradiance}")
+        raise LightError(f"light {text}: irradiance: expected {_EXPECTED['irradiance']}, found {irradiance}")
     if not 0 <= diameter <= 180:
-        raise LightError(f"--light {text}: angular diameter: expected degrees from 0 to 180, found {diameter:g}")
-    return _directional(f"--light {text}", numbers[0], irradiance, diameter)
+        raise LightError(f"light {text}: angular diameter: expected degrees from 0 to 180, found {diameter:g}")
+    return _directional(f"light {text}", numbers[0], irradiance, diameter)
 
 
 def parse_sphere(text: str) -> SphereLight:
@@ -179,14 +179,14 @@ def parse_sphere(text: str) -> SphereLight:
     """
     numbers = _numbers(text)
     if [len(field) for field in numbers] not in ([3, 1], [3, 1, 3]):
-        raise LightError(f"--light {text}: expected {SPHERE_SYNTAX}, such as sphere:0,3,1:0.25:40,36,30")
+        raise LightError(f"light {text}: expected {SPHERE_SYNTAX}, such as sphere:0,3,1:0.25:40,36,30")
     position, (radius,), radiance = numbers if len(numbers) == 3 else (*numbers, [1.0, 1.0, 1.0])
     if not all(abs(value) <= MOST_COORDINATE for value in position):
-        raise LightError(f"--light {text}: position: expected {_EXPECTED['position']}, found {position}")
+        raise LightError(f"light {text}: position: expected {_EXPECTED['position']}, found {position}")
     if not 0 < radius <= MOST_COORDINATE:
-        raise LightError(f"--light {text}: radius: expected {_EXPECTED['radius']}, found {radius:g}")
+        raise LightError(f"light {text}: radius: expected {_EXPECTED['radius']}, found {radius:g}")
     if not all(0 <= value <= _BRIGHTEST for value in radiance):
-        raise LightError(f"--light {text}: radiance: expected {_EXPECTED['radiance']}, found {radiance}")
+        raise LightError(f"light {text}: radiance: expected {_EXPECTED['radiance']}, found {radiance}")
     return SphereLight(np.array(position), radius, np.array(radiance))
 
 

@@ -73,7 +73,7 @@ class Cluster:
             elif now - self._last_seen > PATIENCE:
                 raise ClusterError(
                     f"{self._address}: the scheduler has had no worker for {PATIENCE:.0f} s; start workers "
-                    f"(dask worker {self._address}) and resume with --resume: finished blocks are kept"
+                    f"(dask worker {self._address}) and resume it: finished blocks are kept"
                 )
             return max(1, self._threads)
 
@@ -133,7 +133,7 @@ def open_cluster(address: str, exclusive: bool) -> Iterator[Cluster]:
         from distributed import Client
     except ImportError:
         raise ClusterError(
-            "--scheduler: dask.distributed is not installed; pip install 'dask[distributed]', here and on the workers"
+            "scheduler: dask.distributed is not installed; pip install 'dask[distributed]', here and on the workers"
         ) from None
 
     quiet = {"distributed.admin.large-graph-warning-threshold": sys.maxsize}
@@ -157,7 +157,7 @@ def _connected(client: Any, address: str) -> Any:
     except (OSError, ValueError, TypeError) as cause:
         new.close()
         raise ClusterError(
-            f"--scheduler {address}: no scheduler of dask.distributed answers there ({cause}); expected an address "
+            f"scheduler {address}: no scheduler of dask.distributed answers there ({cause}); expected an address "
             f"such as tcp://host:8786, as `dask scheduler` prints it"
         ) from cause
     return new
@@ -180,12 +180,12 @@ def _cluster_faults(address: str, *lost: type[Exception]) -> Iterator[None]:
     except KilledWorker as cause:
         raise ClusterError(
             f"{address}: {cause.allowed_failures + 1} workers died one after the other with the same block; check "
-            f"that they have enough memory, and resume with --resume: finished blocks are kept"
+            f"that they have enough memory, and resume it: finished blocks are kept"
         ) from cause
     except vanished as cause:
         raise ClusterError(
             f"{address}: the connection to the scheduler is lost; restart it and its workers, and resume with "
-            f"--resume: finished blocks are kept"
+            f"resume: finished blocks are kept"
         ) from cause
     except ImportError as cause:
         raise ClusterError(

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from formats.extras import require
-from prt_bake.cli.shared.fixed import fixed_light, fixed_view
+from prt_bake.cli.shared.fixed import fixed_light
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.options import (
     ANIMATION_SUFFIXES,
@@ -160,7 +160,7 @@ def shade(
         from prt_bake.shading.error_picture import write_error_picture
 
         largest = write_error_picture(error_picture, picture)
-    for remark in _remarks(baked, light, rotate, view.eye, picture, reflection):
+    for remark in _remarks(baked, light, rotate, picture, reflection):
         say(f"{asset}: {remark}")
     if clips and (badly := exposure_remark(picture.image, picture.coverage, exposure)) is not None:
         say(f"{output}: {badly}")
@@ -313,11 +313,10 @@ def _shows(picture: Any) -> str:
     return f"subsurface light, unscattered light left out{reflected}"
 
 
-def _remarks(baked: Any, lights: list[str], rotate: float, eye: Any, picture: Any, reflection: bool) -> Iterator[str]:
+def _remarks(baked: Any, lights: list[str], rotate: float, picture: Any, reflection: bool) -> Iterator[str]:
     from prt_bake.shading.surface_reflection import reflects
 
     yield from fixed_light(baked, lights, rotate)
-    yield from fixed_view(baked, eye)
     if not baked.complete:
         yield f"is a partial bake; {picture.unlit:.1%} of the visible object was not baked and is black"
     if reflection and not picture.reflects:

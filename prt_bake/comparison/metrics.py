@@ -83,12 +83,12 @@ def compare(
     Args:
         image: the picture.
         reference: the picture it is compared with.
-        mask: [H,W] or [H,W,3]; pixels count if the mean of its channels is above 0.5. Windows of SSIM and FLIP extend
-            beyond the mask.
+        mask: [H,W] or [H,W,3], of booleans, weights, or 8 or 16 bits; pixels count if the mean of its channels is above
+            half of white. Windows of SSIM and FLIP extend beyond the mask.
         exposure: in stops.
         hdr: True computes HDR-FLIP over the exposures of its paper; a pair gives the first and last exposure in stops,
             in addition to `exposure`.
-        names: of the pictures and the mask in messages.
+        names: what messages call the picture, the reference and the mask; three texts.
 
     Raises QueryError for shapes that do not match, for a mask without pixels, and for pixels or exposures out of their
     domain. Raises PrtbakeError if the extra `evaluate` is not installed.
@@ -183,7 +183,7 @@ def _picture(image: ArrayLike, name: str) -> Array:
 
 def _chosen(mask: ArrayLike, image: Array, name: str) -> NDArray[np.bool_]:
     values = np.asarray(mask, np.float64)
-    values = values.mean(axis=2) if values.ndim == 3 else values
+    values = values.mean(axis=2) if values.shape[2:] in ((1,), (3,)) else values
     if values.shape != image.shape[:2]:
         raise QueryError(
             f"compare: expected {name} of the pictures' shape {list(image.shape[:2])}, found {list(values.shape)}"

@@ -49,7 +49,7 @@ def object_mask(coverage: ArrayLike) -> NDArray[np.bool_]:
     """The pixels [H,W] that the object covers completely. Raises QueryError if there are none."""
     mask = np.asarray(np.asarray(coverage) >= 1.0)
     if not mask.any():
-        raise QueryError("report: the object covers no pixel of the reference completely; choose a larger --size")
+        raise QueryError("report: the object covers no pixel of the reference completely; choose a larger picture")
     return mask
 
 

@@ -14,6 +14,8 @@ def asset(name: str, value: Any) -> Any:
         found = arguments.described(value)
         raise QueryError(f"{name}: expected an asset, found {found}; bake it first: prt.bake(model, mesh)")
     arguments.require(name, value, ("coefficients", "mesh", "valid"), "prt.read_asset")
+    if hasattr(type(value.coefficients), "file") and not value.coefficients:  # an open dataset counts as true
+        raise QueryError(f"{name}: its file is closed; read it again: prt.read_asset(path)")
     return value
 
 

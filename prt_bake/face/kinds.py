@@ -1,6 +1,6 @@
 """The kind of each argument of a public function, by its name. A check returns the value in the type to work with."""
 
-import dataclasses
+import json
 import math
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
@@ -35,10 +35,15 @@ def lighting(name: str, value: Any) -> Any:
 
 def light_of_picture(name: str, value: Any) -> Any:
     """A lighting, or the picture of a sky."""
-    if hasattr(value, "skies"):
+    if hasattr(value, "skies") and not isinstance(value, type):
         return value
     if isinstance(value, str) or hasattr(value, "__fspath__"):
         return lighting(name, value)
+    if hasattr(value, "harmonics") or (isinstance(value, list | tuple) and hasattr(next(iter(value), None), "skies")):
+        raise QueryError(
+            f"{name}: expected what prt.read_lighting(path) returns, or a lat-long picture [H, W, 3], found "
+            f"{arguments.described(value)}; prt.read_lighting([...]) reads several lights together"
+        )
     return arguments.radiance(name, value)
 
 
@@ -82,6 +87,11 @@ def baked(name: str, value: Any) -> Any:
     return value if arguments.described(value) == "a scene" else transport(name, value)
 
 
+def device_name(name: str, value: Any) -> str:
+    """The name of a device, of torch too."""
+    return text(name, str(value) if type(value).__module__ == "torch" else value)
+
+
 def device(name: str, value: Any) -> str:
     """A device that exists here: "cpu", "cuda" or "cuda:0"."""
     text = str(value) if type(value).__module__ == "torch" else value
@@ -104,14 +114,6 @@ def function(name: str, value: Any) -> Any:
     return value
 
 
-def finite(name: str, value: Any) -> float:
-    """A finite number."""
-    number = arguments.real_number(name, value)
-    if not math.isfinite(number):
-        raise QueryError(f"{name}: expected a finite number, found {number}")
-    return number
-
-
 def duration(name: str, value: Any) -> float:
     """A time, which may be infinite."""
     number = arguments.real_number(name, value)
@@ -128,14 +130,33 @@ def share(name: str, value: Any) -> float:
     return number
 
 
-def at_least(least: int) -> Check:
+def roughness(name: str, value: Any) -> Any:
+    """A number from 0 to 1, or a texture of them."""
+    return share(name, value) if not getattr(value, "ndim", 0) else arguments.numbers(name, value)
+
+
+def at_least(least: int, most: int | None = None) -> Check:
     """Check of a whole number."""
 
     def check(name: str, value: Any) -> int:
         number = arguments.whole_number(name, value)
         if number < least:
             raise QueryError(f"{name} must be at least {least}, found {number}")
+        if most is not None and number > most:
+            raise QueryError(f"{name} must be at most {most:,}, found {number:,}")
         return number
+
+    return check
+
+
+def one_of(*texts: str) -> Check:
+    """Check of a text among a few."""
+
+    def check(name: str, value: Any) -> str:
+        if not isinstance(value, str) or value not in texts:
+            expected = ", ".join(f'"{each}"' for each in texts)
+            raise QueryError(f"{name}: expected one of {expected}, found {arguments.described(value)}")
+        return value
 
     return check
 
@@ -150,22 +171,33 @@ def suns(name: str, value: Any) -> Any:
             f"{name}: expected directional lights, such as prt.suns_apart(lighting, degree).suns, found "
             f"{arguments.described(value)}"
         )
-    return value
+    return lights
 
 
 def coverage(name: str, value: Any) -> Any:
     """Coverage of pixels, from 0 to 1."""
-    array = arguments.numbers(name, value)
-    if array.dtype.kind in "iu" and array.max(initial=0) > 1:
-        raise QueryError(f"{name}: expected coverage from 0 to 1, found {array.dtype} up to {array.max()}")
+    array = arguments.numbers(name, value, "fiub")
+    low, high = (array.min(), array.max()) if array.size else (0, 0)
+    if not (low >= -_COVERAGE_ROUNDING and high <= 1.0 + _COVERAGE_ROUNDING):
+        raise QueryError(f"{name}: expected coverage from 0 to 1, found {array.dtype} from {low:g} to {high:g}")
     return array
 
 
 def names(name: str, value: Any) -> Any:
-    """Two names."""
-    if isinstance(value, str) or not hasattr(value, "__len__") or len(value) != 2:
-        raise QueryError(f"{name}: expected two names, found {arguments.described(value)}")
-    return value
+    """Names of the picture, the reference and the mask."""
+    if isinstance(value, str) or not isinstance(value, Collection) or [type(each) for each in value] != [str] * 3:
+        raise QueryError(
+            f"{name}: expected three texts, for the picture, the reference and the mask, found "
+            f"{arguments.described(value)}"
+        )
+    return tuple(value)
+
+
+def exposures(name: str, value: Any) -> Any:
+    """True, False, or the first and the last exposure."""
+    if isinstance(value, list | tuple) and len(value) == 2:
+        return tuple(arguments.finite_number(name, each) for each in value)
+    return arguments.flag(name, value)
 
 
 def text(name: str, value: Any) -> str:
@@ -182,11 +214,15 @@ def importance(name: str, value: Any) -> Any:
     return value
 
 
-def settings(name: str, value: Any) -> Any:
-    """A record of settings."""
-    if not dataclasses.is_dataclass(value) or isinstance(value, type):
-        raise QueryError(f"{name}: expected a record of settings, found {arguments.described(value)}")
-    return value
+def record(kind: str) -> Check:
+    """Check of a record of settings, by the name of its class."""
+
+    def check(name: str, value: Any) -> Any:
+        if type(value).__name__ != kind:
+            raise QueryError(f"{name}: expected {kind}, found {arguments.described(value)}")
+        return value
+
+    return check
 
 
 def collection(name: str, value: Any) -> Any:
@@ -196,6 +232,13 @@ def collection(name: str, value: Any) -> Any:
     return value
 
 
+def layers(name: str, value: Any) -> tuple[str, ...]:
+    """Names of layers."""
+    if isinstance(value, str) or not isinstance(value, Collection):
+        raise QueryError(f'{name}: expected names such as ("normal", "radiance"), found {arguments.described(value)}')
+    return tuple(value)
+
+
 def dictionary(name: str, value: Any) -> Any:
     """Entries by name."""
     if not isinstance(value, Mapping):
@@ -203,30 +246,38 @@ def dictionary(name: str, value: Any) -> Any:
     return value
 
 
+def json_entries(name: str, value: Any) -> Any:
+    """Entries by name, of the types that JSON has."""
+    try:
+        json.dumps(dictionary(name, value))
+    except (TypeError, ValueError) as fault:
+        raise QueryError(
+            f"{name}: expected texts, numbers, lists and dictionaries of Python, as JSON has them ({fault})"
+        ) from fault
+    return value
+
+
 def lights(name: str, value: Any) -> Any:
     """Files of skies and lights, or suns as text, one or several."""
-    each = [value] if isinstance(value, str) or not hasattr(value, "__iter__") else list(value)
+    each = [value] if isinstance(value, str | bytes) or not hasattr(value, "__iter__") else list(value)
     return value if not [arguments.path(name, one) for one in each] else each
 
 
 def coefficients(name: str, value: Any) -> Any:
     """Coefficients [K,3] of a light, or a record of them."""
-    if hasattr(value, "coefficients"):
+    if hasattr(value, "coefficients") and not hasattr(value, "mesh"):
         return value
-    array = None if isinstance(value, str) or hasattr(value, "skies") else arguments.numbers(name, value)
+    array = (
+        None
+        if isinstance(value, str) or hasattr(value, "skies") or hasattr(value, "harmonics")
+        else arguments.numbers(name, value)
+    )
     if array is None or array.ndim != 2 or array.shape[1] != 3:
         raise QueryError(
             f"{name}: expected coefficients of shape [K, 3], as prt.project_environment(image) returns, found "
             f"{arguments.described(value if array is None else array)}"
         )
     return array
-
-
-def flag(name: str, value: Any) -> bool:
-    """True or False; a text such as "no" would count as True."""
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    raise QueryError(f"{name}: expected True or False, found {arguments.described(value)}")
 
 
 def axis(name: str, value: Any) -> str:
@@ -257,11 +308,20 @@ def keys(name: str, value: Any) -> Any:
 
 
 def mask(name: str, value: Any) -> Any:
-    """A mask, of booleans or of weights."""
-    return value if getattr(value, "dtype", None) == np.bool_ else arguments.numbers(name, value)
+    """A mask: of booleans, of weights from 0 to 1, or of 8 or 16 bits, of which the largest number is white."""
+    array = arguments.numbers(name, value, "fiub")
+    if array.dtype.kind in "iu" and array.max(initial=0) > 1:
+        if array.dtype not in (np.uint8, np.uint16):
+            raise QueryError(
+                f"{name}: expected weights from 0 to 1, found {array.dtype} up to {array.max()}; "
+                "give booleans, such as mask > 0"
+            )
+        return array / np.iinfo(array.dtype).max
+    return array
 
 
 WHOLE = arguments.whole_number
+_COVERAGE_ROUNDING = 1e-3
 
 KINDS: dict[str, Check] = {
     "asset": asset,
@@ -271,17 +331,19 @@ KINDS: dict[str, Check] = {
     "lighting": lighting,
     "lights": lights,
     "camera": camera,
-    "seed": at_least(0),
+    "seed": at_least(0, 2**63 - 1),
     "mask": mask,
     "device": device,
     "leave_out": collection,
-    "provenance": dictionary,
+    "provenance": json_entries,
     "attributes": dictionary,
     **dict.fromkeys(("coefficients", "for_light"), coefficients),
     **dict.fromkeys(("image", "reference"), arguments.radiance),
     **dict.fromkeys(("eye", "target", "for_eye"), point),
     "alpha": coverage,
-    "roughness": share,
+    "roughness": roughness,
+    "normals": one_of("vertex", "face"),
+    "hdr": exposures,
     "names": names,
     "scheduler": text,
     "importance": importance,
@@ -291,13 +353,15 @@ KINDS: dict[str, Check] = {
     **dict.fromkeys(("workers", "connections", "turns"), at_least(1)),
     **dict.fromkeys(("error", "fov", "extent", "scale"), arguments.real_number),
     **dict.fromkeys(("minutes", "every"), duration),
-    **dict.fromkeys(("degrees", "rotate", "exposure"), finite),
-    **dict.fromkeys(("settings", "learning"), settings),
+    **dict.fromkeys(("degrees", "rotate", "exposure"), arguments.finite_number),
+    "settings": record("NetworkSettings"),
+    "learning": record("LearningSettings"),
+    "stream": record("StreamSettings"),
     **dict.fromkeys(("path", "out", "output", "folder"), arguments.path),
     "checkpoint": checkpoint,
     "up": axis,
     "keys": keys,
-    **dict.fromkeys(("progress", "stop", "say", "preview"), function),
+    **dict.fromkeys(("progress", "stop", "say", "preview", "part"), function),
 }
 """The check of each name of an argument."""
 
@@ -314,8 +378,10 @@ OF_FUNCTION: dict[tuple[str, str], Check] = {
     ("shade", "suns"): suns,
     ("srgb", "image"): visible,
     ("write_image", "layers"): dictionary,
+    ("render_picture", "layers"): layers,
+    ("render_picture", "samples"): at_least(1, 256),
     ("train", "samples"): arguments.path,
-    ("train", "device"): text,
-    ("estimate_coefficients", "device"): text,
+    ("train", "device"): device_name,
+    ("estimate_coefficients", "device"): device_name,
 }
 """Arguments whose name has another meaning in one function. Those that path trace find their GPU by other means."""

@@ -1,13 +1,15 @@
 """Makes a function public: its arguments are checked by kind, and its signature in a tooltip is names and defaults."""
 
+import difflib
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from types import ModuleType
-from typing import Any, cast
+from typing import Any, cast, get_args
 
-from prt_bake.face.kinds import KINDS, OF_FUNCTION, flag
+from formats.arguments import flag
+from prt_bake.face.kinds import KINDS, OF_FUNCTION
 
 
 def public(name: str, value: object) -> object:
@@ -27,15 +29,14 @@ def public(name: str, value: object) -> object:
 def checked(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
     """The function with its arguments checked by kind; QueryError names an argument of another kind.
 
-    Arguments that are their default are not checked: None is allowed where it is the default.
+    Arguments that are their default, and None where the function takes it, are not checked.
     """
     signature = inspect.signature(function)
     checks = {
-        each: OF_FUNCTION.get((name, each))
-        or KINDS.get(each)
-        or (flag if isinstance(parameter.default, bool) else None)
+        each: OF_FUNCTION.get((name, each)) or KINDS.get(each) or (flag if parameter.annotation is bool else None)
         for each, parameter in signature.parameters.items()
     }
+    optional = {each for each, kind in signature.parameters.items() if type(None) in get_args(kind.annotation)}
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -43,10 +44,12 @@ def checked(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         with suppress(TypeError):
             bound = signature.bind(*args, **kwargs)
         if bound is None:
+            refuse_misspelt(name, kwargs, signature)
             return function(*args, **kwargs)  # raises Python's own error, which names the function
         for parameter, value in bound.arguments.items():
             check = checks[parameter]
-            if check is not None and value is not signature.parameters[parameter].default:
+            absent = value is signature.parameters[parameter].default or (value is None and parameter in optional)
+            if check is not None and not absent:
                 bound.arguments[parameter] = check(parameter, value)
         return function(*bound.args, **bound.kwargs)
 
@@ -54,6 +57,14 @@ def checked(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
     call.__module__, call.__qualname__, call.__name__ = "prt_bake", name, name
     cast(Any, call).__signature__ = without_types(signature)
     return call
+
+
+def refuse_misspelt(name: str, given: Iterable[str], signature: inspect.Signature) -> None:
+    """Raise TypeError for a keyword that is nearly the name of a parameter."""
+    for each in given:
+        near = difflib.get_close_matches(each, signature.parameters, 1, 0.75)
+        if near and each not in signature.parameters:
+            raise TypeError(f"{name}() got an unexpected keyword argument '{each}'; did you mean '{near[0]}'?")
 
 
 def without_types(signature: inspect.Signature) -> inspect.Signature:

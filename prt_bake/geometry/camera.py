@@ -12,6 +12,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from formats import arguments
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from formats.mesh.geometry import MOST_COORDINATE
@@ -32,6 +33,7 @@ _FROM: dict[View, tuple[float, float, float]] = {
 _MARGIN = 1.08
 _MOST_TURNS = 72
 """Between turns 5° apart the object stays within the margin."""
+_MOST_PIXELS = 1 << 28
 _CONTACT = 1e-4
 """An eye within this distance of the surface, in diagonals of the object, counts as on it."""
 
@@ -45,7 +47,7 @@ class Camera:
     lower to the upper edge of an orthographic picture, whose rays are parallel and start in the plane through the eye;
     None for a perspective camera.
 
-    Raises QueryError for values that define no picture.
+    Raises QueryError for values that define no picture, and for more than 2^28 pixels.
 
     >>> import numpy as np
     >>> import prt_bake as prt
@@ -72,8 +74,15 @@ class Camera:
                 f"{self.eye.tolist()}, target {self.target.tolist()} and up {self.up.tolist()}"
             )
         object.__setattr__(self, "up", self.up / length)
+        for name in ("width", "height"):
+            object.__setattr__(self, name, arguments.whole_number(name, getattr(self, name)))
+        for name in ("fov", "extent"):
+            if name == "fov" or self.extent is not None:
+                object.__setattr__(self, name, arguments.real_number(name, getattr(self, name)))
         if self.width < 1 or self.height < 1:
             raise QueryError(f"camera: expected at least 1x1 pixels, found {self.width}x{self.height}")
+        if self.width * self.height > _MOST_PIXELS:
+            raise QueryError(f"camera: expected at most {_MOST_PIXELS:,} pixels, found {self.width}x{self.height}")
         if not 0.0 < self.fov < 180.0:
             raise QueryError(f"camera: expected a field of view between 0 and 180 degrees, found {self.fov:g}")
         if self.extent is not None and not 0.0 < self.extent <= MOST_COORDINATE:
@@ -263,9 +272,10 @@ def refuse_eye_in_object(mesh: Mesh, eye: Array) -> None:
 
 
 def _point(value: ArrayLike, name: str) -> Array:
-    point = np.array(value, np.float64)
+    point = np.array(arguments.numbers(name, value), np.float64)
     if point.shape != (3,) or not np.isfinite(point).all():
-        raise QueryError(f"camera: expected three finite numbers for {name}, found {point.tolist()}")
+        found = point.tolist() if point.size <= 3 else f"shape {list(point.shape)}"
+        raise QueryError(f"camera: expected three finite numbers for {name}, found {found}")
     if np.abs(point).max() > MOST_COORDINATE:
         raise QueryError(
             f"camera: expected three numbers within ±{MOST_COORDINATE:g} for {name}, found {point.tolist()}; bring it "

@@ -50,7 +50,7 @@ def soundness_faults(asset: Asset) -> Iterator[str]:
     except QueryError as error:
         yield str(error).removeprefix("asset: ")
     if not asset.valid.any():
-        yield "no vertex is baked, so there is nothing to show; bake it again (--resume finishes a partial bake)"
+        yield "no vertex is baked, so there is nothing to show; bake it again (resume finishes a partial bake)"
     elif (fault := selftest_fault(asset)) is not None:
         yield fault
 

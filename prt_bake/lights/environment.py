@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from formats.arguments import finite_number
 from formats.errors import ImageError, QueryError
 from formats.image import rows as image_rows
 from prt_bake.lights.skies import fourier, pixels, shape
@@ -37,8 +38,8 @@ def project(image: ArrayLike | image_rows.ImageRows, degree: int = 2, up: str = 
     float64. There is no convolution with a cosine. The picture may have any size and negative radiance. It is read in
     blocks of rows, so that an open one (`open_environment`) needs the memory of one block.
 
-    Raises ImageError if the shape is not [H, W, 3] or a pixel is not finite, with the number of such pixels and the
-    first one. Raises QueryError if `up` is neither "y" nor "z" or the degree is negative.
+    Raises ImageError if the shape is not [H, W, 3] or that of a cube map, or if a pixel is not finite, with the number
+    of such pixels and the first one. Raises QueryError if `up` is neither "y" nor "z" or the degree is negative.
 
     >>> import numpy as np
     >>> import prt_bake as prt
@@ -46,7 +47,7 @@ def project(image: ArrayLike | image_rows.ImageRows, degree: int = 2, up: str = 
     [3.544908, 0.0, 0.0, 0.0]
     """
     to_object = sh.rotation(from_polar(up), degree)
-    opened = image if isinstance(image, image_rows.ImageRows) else _in_blocks(_picture(image))
+    opened = image if isinstance(image, image_rows.ImageRows) else _in_blocks(_lat_long(image))
     return to_object @ fourier.harmonics(fourier.row_waves(opened, degree))
 
 
@@ -59,7 +60,7 @@ def from_polar(up: str) -> NDArray[np.float64]:
 
 def rotation(degrees: float, up: str = "y") -> NDArray[np.float64]:
     """Rotation matrix R [3, 3] by `degrees` about the up axis, right-handed: counter-clockwise seen from above."""
-    angle = math.radians(degrees)
+    angle = math.radians(finite_number("degrees", degrees))
     c, s = math.cos(angle), math.sin(angle)
     from_polar(up)
     if up == "y":
@@ -170,8 +171,11 @@ def open_environment(
 
 
 def check(image: NDArray[np.floating], path: str | Path) -> None:
-    """Raise ImageError (number of bad pixels, first one) if `image` [H, W, 3], read from `path`, has bad pixels."""
-    for _ in pixels.checked(image_rows.rows_of(_picture(image, path), path)).blocks():
+    """Raise ImageError (number of bad pixels, first one) if `image` [H, W, 3], read from `path`, has bad pixels.
+
+    A cube map is refused too.
+    """
+    for _ in pixels.checked(image_rows.rows_of(_lat_long(image, path), path)).blocks():
         pass
 
 
@@ -185,6 +189,12 @@ def _picture(image: ArrayLike, source: str | Path = "image") -> NDArray[np.float
     values = np.asarray(image)
     if values.ndim != 3 or values.shape[2] != 3 or 0 in values.shape or values.dtype.kind not in "fiu":
         raise ImageError(f"{source}: expected numbers [H, W, 3], found {values.dtype} of shape {list(values.shape)}")
+    return values
+
+
+def _lat_long(image: ArrayLike, source: str | Path = "image") -> NDArray[np.floating]:
+    values = _picture(image, source)
+    shape.refuse_cube_maps(image_rows.rows_of(values, source))
     return values
 
 

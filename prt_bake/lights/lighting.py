@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from formats.errors import LightError, QueryError, refuse_path
+from formats.arguments import described, numbers
+from formats.errors import LightError, QueryError, refuse_path, warn
 from formats.image import READABLE
 from formats.mesh import Mesh
 from formats.scene.file import errors_at
@@ -68,7 +69,9 @@ class Sky:
 
 @dataclass(frozen=True, eq=False)
 class Lighting:
-    """Skies and directional lights together. Raises QueryError if there is no light.
+    """Skies and directional lights together, as `read_lighting` returns them.
+
+    Raises QueryError if there is no light, and for lights of other kinds.
 
     >>> import numpy as np
     >>> import prt_bake as prt
@@ -83,12 +86,24 @@ class Lighting:
     suns: tuple[DirectionalLight, ...] = ()
 
     def __post_init__(self) -> None:
+        for name, kind in (("skies", Sky), ("suns", DirectionalLight)):
+            value = getattr(self, name)
+            lights = tuple(value) if isinstance(value, list | tuple) else (value,)
+            if wrong := [each for each in lights if not isinstance(each, kind)]:
+                raise QueryError(
+                    f"{name}: expected those of a lighting, found {described(wrong[0])}; prt.read_lighting([...]) "
+                    "reads several lights together"
+                )
+            object.__setattr__(self, name, lights)
         if not self.skies and not self.suns:
             raise QueryError("light: there is none; give at least one sky or directional light")
 
     def radiance(self, directions: Array) -> Array:
-        """Radiance [N,3] from `directions` [N,3], of all lights that have a size."""
-        return radiance(self.skies, self.suns, directions)
+        """Radiance [N,3] from unit `directions` [N,3], of all lights that have a size."""
+        towards = np.asarray(numbers("directions", directions), np.float64)
+        if towards.ndim != 2 or towards.shape[1] != 3:
+            raise QueryError(f"directions: expected shape [N, 3], found {list(towards.shape)}")
+        return radiance(self.skies, self.suns, towards)
 
     def turned(self, degrees: float, up: str) -> "Lighting":
         """The lighting rotated by `degrees` about `up`, counter-clockwise seen from above."""
@@ -155,7 +170,7 @@ def read_lighting(
     for light in [lights] if isinstance(lights, str | Path) else lights:
         if str(light).startswith(("sun:", "sphere:")):
             parse = parse_sun if str(light).startswith("sun:") else parse_sphere
-            add(parse(str(light)), f"--light {light}")
+            add(parse(str(light)), f"light {light}")
         elif Path(light).suffix.lower() == ".toml":
             for one in read_lights(light):
                 if isinstance(one, SkyLight):
@@ -200,11 +215,22 @@ def _read_sky(
 def as_lighting(light: ArrayLike | Lighting, up: str, rotate: float) -> Lighting:
     """The lighting of a lat-long picture [H,W,3], or a given lighting, rotated by `rotate` degrees about `up`."""
     if isinstance(light, Lighting):
+        warn_of_other_up(light, up)
         return light.turned(rotate, up)
     refuse_path("light", light, "prt.read_lighting")
     image = np.asarray(light, np.float32)
     environment.check(image, "light")
     return Lighting((Sky(image, up, environment.rotation(rotate, up)),))
+
+
+def warn_of_other_up(lighting: Lighting, up: str) -> None:
+    """Issue an InputWarning if a sky was read for another axis than the one that points up here."""
+    other = next((sky.up for sky in lighting.skies if sky.up != up), None)
+    if other is not None:
+        warn(
+            f"light: its sky stands upright with {other} up, but {up} points up here; read it with "
+            f'prt.read_lighting(path, up="{up}")'
+        )
 
 
 def radiance(skies: Iterable[Sky], suns: Iterable[DirectionalLight], directions: Array) -> Array:

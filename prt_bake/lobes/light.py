@@ -53,6 +53,13 @@ class LobeLight(NamedTuple):
     degree: int
     turn: Array
 
+    def holds(self, least: float, most: float) -> bool:
+        """Whether lobes of a sharpness from `least` to `most` are within its levels, or one level beside them."""
+        beside = 1.0 / _OCTAVE
+        last = self.first + (len(self.sizes) - 1) / _OCTAVE
+        within = self.first - beside <= math.log2(least) and math.log2(most) <= last + beside
+        return within or not len(self.sizes)
+
     def turned(self, rotation: Array) -> "LobeLight":
         """The light under a rotation [3,3] of object space."""
         return self._replace(turn=self.turn @ rotation.T)

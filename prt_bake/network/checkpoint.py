@@ -147,6 +147,11 @@ def _read_safetensors(path: Path) -> tuple[str, dict[str, Tensor]]:
     return head, tensors
 
 
+def refuse_other_suffix(path: str | Path) -> None:
+    """Raise ModelError if a file of this name cannot be a model."""
+    _suffix(path)
+
+
 def _suffix(path: str | Path) -> str:
     suffix = Path(path).suffix.lower()
     if suffix not in (".pt", ".safetensors"):

@@ -14,7 +14,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
-from formats.arguments import described
+from formats.arguments import described, numbers, real_number
 from formats.errors import ModelError, QueryError, warn
 from formats.mesh import Mesh, as_mesh
 from prt_bake.geometry.surface import Surface
@@ -67,10 +67,10 @@ class NetworkCore(nn.Module):
         if not isinstance(settings, NetworkSettings | None):
             raise QueryError(f"settings: expected NetworkSettings, found {described(settings)}")
         self.settings = settings or NetworkSettings()
-        self.box_side = float(box_side)
-        self.output_scale = float(output_scale)
+        self.box_side = real_number("box_side", box_side)
+        self.output_scale = real_number("output_scale", output_scale)
         self.metadata: dict[str, Any] = dict(metadata or {})
-        corner = torch.as_tensor(np.asarray(box_min, dtype=np.float64))
+        corner = torch.as_tensor(np.array(numbers("box_min", box_min), np.float64))
         scales = (self.box_side, self.output_scale)
         if (
             corner.shape != (3,)

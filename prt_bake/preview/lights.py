@@ -16,7 +16,7 @@ from prt_bake.lights import environment
 from prt_bake.lights.harmonics import project_lighting
 from prt_bake.lights.lighting import Lighting, read_lighting
 from prt_bake.preview.mirrored import resampled_sky
-from prt_bake.shading.asset_light import AssetLight, light_for
+from prt_bake.shading.asset_light import AssetLight, prepare_light
 from prt_bake.shading.sun_shading import SunTreatment
 
 _MOST_ROWS = 2048
@@ -39,7 +39,7 @@ class ShownLight:
     def prepared(self, asset: Asset, treatment: SunTreatment) -> AssetLight:
         """Return the light prepared for the preview's asset; computed on first use."""
         if treatment not in self._prepared:
-            self._prepared[treatment] = light_for(asset, self.lighting, treatment)
+            self._prepared[treatment] = prepare_light(asset, self.lighting, treatment)
         return self._prepared[treatment]
 
 

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from formats.arguments import radiance
+from formats.arguments import numbers, radiance
 from formats.asset import Asset
 from formats.errors import warn
 from formats.image.png import to_srgb
 from formats.mesh.polydata import polydata
-from prt_bake.face.assets import point
+from prt_bake.face.assets import asset as require_asset
+from prt_bake.face.assets import light_of_vertices, point
 from prt_bake.geometry import camera
 from prt_bake.lights.lighting import Lighting, as_lighting, read_lighting
 from prt_bake.shading.asset_light import AssetLight, light_for
@@ -26,6 +27,7 @@ Light = str | os.PathLike[str] | Lighting | AssetLight | ArrayLike | None
 
 def to_pyvista(asset: Asset, light: Light = None, eye: ArrayLike | None = None) -> "pyvista.PolyData":
     """Return the asset's mesh with its radiance; `Asset.to_pyvista` describes it."""
+    require_asset("asset", asset)
     mesh = polydata(asset.mesh.positions, asset.mesh.faces, asset.mesh.normals)
     where = camera.fit(asset.mesh, up=asset.up).eye if eye is None else point("eye", eye)
     values = shade(asset, _prepared(asset, light), where)
@@ -49,6 +51,8 @@ def _prepared(asset: Asset, light: Light) -> Any:
         light = read_lighting([path], asset.up, say=warn, mesh=asset.mesh)
     if isinstance(light, Lighting):
         return light_for(asset, light)
+    if isinstance(light, list | tuple):
+        light = numbers("light", light)
     if getattr(light, "ndim", 2) == 3 or type(light).__module__.startswith("PIL."):
         return light_for(asset, as_lighting(radiance("light", light), asset.up, 0.0))
-    return light
+    return light_of_vertices("light", light)

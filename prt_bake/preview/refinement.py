@@ -120,7 +120,8 @@ def _rotated(light: AssetLight, rotation: float, up: str) -> AssetLight:
     matrix = environment.rotation(rotation, up)
     suns = tuple(replace(sun, direction=matrix @ sun.direction) for sun in light.suns)
     harmonics, whole = (environment.rotate_light(part, rotation, up) for part in (light.harmonics, light.whole))
-    return AssetLight(harmonics, suns, whole, light.found, light.lobes and light.lobes.turned(matrix))
+    lobes = light.lobes and light.lobes.turned(matrix)
+    return replace(light, harmonics=harmonics, suns=suns, whole=whole, lobes=lobes)
 
 
 def is_closed(mesh: Mesh) -> bool:

@@ -6,12 +6,14 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
+from formats.arguments import described
 from formats.asset import Asset
 from formats.errors import QueryError, warn
 from formats.extras import require
+from prt_bake.face.assets import asset as require_asset
 from prt_bake.face.assets import point
 from prt_bake.geometry import camera
-from prt_bake.lights.lighting import Lighting
+from prt_bake.lights.lighting import Lighting, warn_of_other_up
 from prt_bake.preview.lights import LightSource
 from prt_bake.preview.polydata import shipped_sky
 from prt_bake.preview.state import Preview
@@ -21,6 +23,7 @@ _SIZE = 800, 600
 
 def show(asset: Asset, light: str | os.PathLike[str] | Lighting | None = None, eye: ArrayLike | None = None) -> Any:
     """Show the window, or draw it in a notebook; `Asset.show` describes it."""
+    require_asset("asset", asset)
     require("show", "pyvista")
     from prt_bake.preview.window import View, Window, on_display, open_plotter
 
@@ -47,10 +50,12 @@ def _sources(asset: Asset, light: str | os.PathLike[str] | Lighting | None) -> l
     known = shipped_sky() if light is None else light
     if not isinstance(known, str | os.PathLike | Lighting):
         raise QueryError(
-            f"light: expected the path of a light, or what prt.read_lighting returns, found a {type(light).__name__}"
+            f"light: expected the path of a light, or what prt.read_lighting returns, found {described(light)}"
         )
     if asset.quantity == "radiance":
         raise QueryError("light: the asset was made for one light and cannot be relit; pass None to show it")
+    if isinstance(known, Lighting):
+        warn_of_other_up(known, asset.up)
     text = known if isinstance(known, Lighting) else os.fspath(known)
     return [LightSource(text, asset.up, asset.degree, say=warn, mesh=asset.mesh)]
 

@@ -81,7 +81,10 @@ class Preview:
     ) -> None:
         """Raises QueryError if no vertex was baked, or if there is no light for an asset that needs one."""
         if not asset.valid.any():
-            raise QueryError("asset: no vertex was baked, so there is nothing to show; finish the bake with --resume")
+            raise QueryError(
+                "asset: no vertex was baked, so there is nothing to show; bake it again (resume finishes a partial "
+                "bake)"
+            )
         self.asset = dataclasses.replace(asset, up=up or asset.up)
         self.lights = list(lights)
         if not self.lights and self.relightable:

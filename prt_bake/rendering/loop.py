@@ -160,11 +160,12 @@ def accumulate(
     """Add passes until a criterion holds. The file `checkpoint` keeps the sums, and `resume` continues from it.
 
     The file stays: the caller removes it when the picture is safe. `spent` are seconds of preparation that count as the
-    picture's. Raises FormatError if there is no checkpoint to resume, or if it has another `identity`.
+    picture's. Raises QueryError to resume without `checkpoint`, and FormatError if there is no such file, or if it has
+    another `identity`.
     """
     sums = Sums.empty(camera.height, camera.width)
-    if resume and checkpoint is not None:
-        sums = read_checkpoint(checkpoint, identity)
+    if resume:
+        sums = read_checkpoint(required_checkpoint(checkpoint), identity)
     goal = _Goal(criteria, tracer.samples, sums.seconds)
     sums.seconds += spent
     writer, progress = _CheckpointWriter(checkpoint, identity, criteria), observers.progress
@@ -180,6 +181,13 @@ def accumulate(
     if not complete:
         writer.write(sums)
     return _picture(sums, tracer, complete)
+
+
+def required_checkpoint(checkpoint: Path | None) -> Path:
+    """The file to resume from. Raises QueryError if none is given."""
+    if checkpoint is None:
+        raise QueryError("resume: expected checkpoint, the file of the stopped picture, found none; give checkpoint")
+    return checkpoint
 
 
 def _picture(sums: Sums, tracer: Tracer, complete: bool) -> Rendering:

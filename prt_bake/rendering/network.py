@@ -30,6 +30,7 @@ from prt_bake.rendering.loop import (
     StopCriteria,
     accumulate,
     picture_identity,
+    required_checkpoint,
 )
 from prt_bake.rendering.mixture import Mixture, Sampling
 from prt_bake.rendering.network_pass import NetworkTracer
@@ -95,7 +96,7 @@ def render_network(
     Raises:
         QueryError: as `prt_bake.render_scene`; a mesh outside the network's box; "lobe" or "mis" without an importance
             module; a network without evaluate.
-        FormatError: there is no checkpoint to resume, or it belongs to another picture.
+        FormatError: there is no such file to resume, or it belongs to another picture.
 
     >>> import prt_bake as prt
     >>> model, mesh = prt.load_model("spot.pt"), prt.read_mesh("spot.obj")
@@ -105,6 +106,8 @@ def render_network(
     (24, 32, 3)
     """
     criteria = StopCriteria(spp, error, minutes, stop)
+    if resume:
+        required_checkpoint(checkpoint)
     refuse_foreign(network, mesh)
     bound = on_mesh(network, mesh)
     importance = importance or own_lobes(bound)

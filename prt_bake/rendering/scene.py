@@ -22,6 +22,7 @@ from prt_bake.rendering.loop import (
     StopCriteria,
     accumulate,
     picture_identity,
+    required_checkpoint,
 )
 from prt_bake.rendering.passes import PassTracer
 from prt_bake.rendering.surface_reflection import SurfaceReflection, reflection_identity
@@ -90,8 +91,8 @@ def render_scene(
         preview: called with the current picture about every `every` seconds.
 
     Raises QueryError for less than 2 walks per pixel, for another `shown`, for an eye inside the object, and for a
-    directional light without size behind a smooth interface. Raises FormatError if there is no checkpoint to resume, or
-    if it belongs to another picture.
+    directional light without size behind a smooth interface, and for `resume` without `checkpoint`. Raises FormatError
+    if there is no such file to resume, or if it belongs to another picture.
 
     >>> import prt_bake as prt
     >>> scene = prt.load_scene("spot.toml")
@@ -104,6 +105,8 @@ def render_scene(
         raise QueryError(f"shown: expected {', '.join(map(repr, SHOWS))}, found {shown!r}")
     refuse_path("scene", scene, "prt.load_scene")
     criteria = StopCriteria(spp, error, minutes, stop)
+    if resume:
+        required_checkpoint(checkpoint)
     refuse_eye_in_object(scene.mesh, camera.eye)
     lighting = as_lighting(light, up or scene.up, rotate)
     _refuse_hidden_suns(scene, lighting)

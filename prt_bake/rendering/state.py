@@ -137,7 +137,7 @@ def stored_limits(path: Path) -> dict[str, Any]:
         if value is not None and not (is_number(value) and value >= 0.0):
             raise FormatError(
                 f"{path}: is damaged: {name} of its last run is {value!r}; expected a number from 0 on; render without "
-                "--resume"
+                "resume"
             )
     return limits
 
@@ -156,7 +156,7 @@ def read_checkpoint(path: Path, identity: dict[str, Any]) -> Sums:
     differences.
     """
     if not path.is_file():
-        raise FormatError(f"{path}: not found; there is nothing to resume, render without --resume")
+        raise FormatError(f"{path}: not found; there is nothing to resume, render without resume")
     try:
         arrays = read_arrays(path)
         head = json.loads(str(arrays["head"]))
@@ -167,16 +167,16 @@ def read_checkpoint(path: Path, identity: dict[str, Any]) -> Sums:
         sums = Sums(radiance, squares, coverage, *counts, history)
     except (ValueError, KeyError, TypeError, OverflowError, AttributeError) as fault:
         kind = type(fault).__name__
-        raise FormatError(f"{path}: not a readable checkpoint of a picture ({kind}); render without --resume") from None
+        raise FormatError(f"{path}: not a readable checkpoint of a picture ({kind}); render without resume") from None
     differing = [name for name in identity if found.get(name) != identity[name]]
     if differing:
         differences = "; ".join(_difference(name, found.get(name), identity[name]) for name in differing)
         raise FormatError(
             f"{path}: belongs to another picture: {differences}; repeat the original arguments, or render "
-            "without --resume"
+            "without resume"
         )
     for sentence in _sum_faults(sums, identity.get("size", sums.coverage.shape[1::-1])):
-        raise FormatError(f"{path}: is damaged: {sentence}; render without --resume")
+        raise FormatError(f"{path}: is damaged: {sentence}; render without resume")
     return sums
 
 

@@ -11,7 +11,7 @@ from formats.asset import Asset
 from formats.errors import QueryError
 from formats.scene.lights import DirectionalLight
 from formats.summary import summary
-from prt_bake.lights.lighting import Lighting
+from prt_bake.lights.lighting import Lighting, warn_of_other_up
 from prt_bake.shading.sun_shading import SunTreatment, suns_apart
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ class AssetLight:
         whole: [K,3], harmonics of all the light, undamped.
         found: the number of suns.
         lobes: the light that lobes see; None for an asset without lobes.
+        treatment: of the suns; None for coefficients that were not prepared.
     """
 
     harmonics: Any
@@ -37,6 +38,7 @@ class AssetLight:
     whole: Any = None
     found: int = 0
     lobes: "LobeLight | None" = None
+    treatment: SunTreatment | None = None
 
     __repr__ = summary
 
@@ -50,6 +52,9 @@ def light_for(asset: Asset, lighting: Lighting, suns: SunTreatment = "split") ->
         suns: how suns are shaded (`prt_bake.shading.sun_shading`); "split" uses the lobes of an asset that has some,
             the others leave them out.
 
+    A sky that was read for another axis than the asset's, such as `read_lighting(path)` with y up for an asset with z
+    up, is reported by an InputWarning.
+
     Raises QueryError for an unknown treatment.
 
     >>> import prt_bake as prt
@@ -57,22 +62,41 @@ def light_for(asset: Asset, lighting: Lighting, suns: SunTreatment = "split") ->
     >>> light = prt.light_for(asset, prt.read_lighting("sky.hdr"))
     >>> radiance = prt.shade(asset, light, [0.0, 1.0, 4.0])
     """
+    if asset.quantity != "radiance":
+        warn_of_other_up(lighting, asset.up)
+    return prepare_light(asset, lighting, suns)
+
+
+def prepare_light(asset: Asset, lighting: Lighting, suns: SunTreatment = "split") -> AssetLight:
+    """`light_for` of a lighting whose axis was chosen."""
     if asset.quantity == "radiance":
         return AssetLight(None)
     divided = suns_apart(lighting, asset.degree, suns)
-    used = np.zeros(0) if asset.lobes is None else asset.lobes.sharpness[asset.lobes.powers.any(axis=-1)]
+    used = _sharpness(asset)
     if not len(used) or suns != "split":
-        return AssetLight(divided.harmonics, divided.suns, divided.whole, divided.found)
+        return AssetLight(divided.harmonics, divided.suns, divided.whole, divided.found, treatment=suns)
     from prt_bake.lobes.light import lobe_light
 
     lobes = lobe_light(lighting, asset.degree, float(used.min()), float(used.max()))
-    return AssetLight(divided.harmonics, divided.suns, divided.whole, divided.found, lobes)
+    return AssetLight(divided.harmonics, divided.suns, divided.whole, divided.found, lobes, suns)
 
 
-def refuse_missing_lobes(light: AssetLight, asset: Asset) -> None:
-    """Raise QueryError for a light of lobes and an asset without, whose suns it would miss."""
-    if light.lobes is not None and asset.lobes is None:
-        raise QueryError("light: was prepared for an asset with lobes; prt.light_for(asset, lighting) prepares another")
+def refuse_light_of_other_lobes(light: AssetLight, asset: Asset) -> None:
+    """Raise QueryError for a light that was prepared for an asset whose lobes are not like those of this one."""
+    used = _sharpness(asset)
+    if light.lobes is None and not (light.treatment == "split" and len(used)):
+        return
+    fits = light.lobes is not None and len(used) and light.lobes.holds(float(used.min()), float(used.max()))
+    if not fits:
+        others = "without lobes" if light.lobes is None else "with other lobes" if len(used) else "with lobes"
+        raise QueryError(
+            f"light: was prepared for an asset {others}; prt.light_for(asset, lighting) prepares it for this one"
+        )
+
+
+def _sharpness(asset: Asset) -> NDArray[np.float32]:
+    """The sharpness of the asset's lobes, of those that have power."""
+    return np.zeros(0, np.float32) if asset.lobes is None else asset.lobes.sharpness[asset.lobes.powers.any(axis=-1)]
 
 
 def as_asset_light(light: "AssetLight | ArrayLike | None", suns: Sequence[DirectionalLight]) -> AssetLight:

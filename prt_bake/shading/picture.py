@@ -18,13 +18,20 @@ from formats.summary import summary
 from prt_bake.geometry.camera import Camera, Visibility, rays, refuse_eye_in_object
 from prt_bake.lights.lighting import Lighting, as_lighting
 from prt_bake.reflection.finish import Normals
-from prt_bake.shading.asset_light import AssetLight, light_for
+from prt_bake.shading.asset_light import AssetLight, prepare_light
 from prt_bake.shading.layers import make_layers
 from prt_bake.shading.picture_error import PictureError, sun_error, view_error
 from prt_bake.shading.radiance_error import interpolate_over_faces, radiance_error
 from prt_bake.shading.sun_shading import SunTreatment
 from prt_bake.shading.surface_reflection import AssetReflection, reflects
-from prt_bake.shading.vertices import Shading, corner_weights, light_coefficients, shade, shade_vertices
+from prt_bake.shading.vertices import (
+    Shading,
+    corner_weights,
+    light_coefficients,
+    shade,
+    shade_vertices,
+    warn_of_other_eye,
+)
 from prt_bake.shading.visible_points import PixelMeans, VisiblePoints, find_visible_points, grid_offsets, row_blocks
 
 __all__ = ["Picture", "Shading", "radiance_error", "render_picture", "shade", "shade_vertices"]
@@ -114,8 +121,9 @@ def render_picture(
     if samples < 1:
         raise QueryError(f"samples: expected at least 1 along each side of a pixel, found {samples}")
     refuse_eye_in_object(asset.mesh, camera.eye)
+    warn_of_other_eye(asset, camera.eye)
     lighting = as_lighting(light, up or asset.up, rotate)
-    prepared = light_for(asset, lighting, suns)
+    prepared = prepare_light(asset, lighting, suns)
     visibility = Visibility(asset.mesh)
     points = find_visible_points(visibility, camera, grid_offsets(samples))
     corners = asset.mesh.faces[points.faces]

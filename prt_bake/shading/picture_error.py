@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.asset import Asset
+from formats.summary import summary
 from prt_bake.mathematics.sphere import BinCoordinates
 from prt_bake.shading.reconstruction import reconstruct
 from prt_bake.shading.vertices import bin_coordinates_at_vertices, eye_directions
@@ -44,6 +45,8 @@ class PictureError:
     noise: float
     path_traced: bool = False
     suns: float | None = 0.0
+
+    __repr__ = summary
 
     @property
     def known(self) -> bool:

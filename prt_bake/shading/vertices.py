@@ -6,18 +6,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from formats.arguments import described
 from formats.asset import Asset
-from formats.errors import QueryError, refuse_path
+from formats.errors import QueryError, refuse_path, warn
 from formats.scene.lights import DirectionalLight
 from prt_bake.geometry.camera import refuse_eye_in_object
 from prt_bake.mathematics import sh, sphere
-from prt_bake.shading.asset_light import AssetLight, as_asset_light, refuse_missing_lobes
+from prt_bake.shading.asset_light import AssetLight, as_asset_light, refuse_light_of_other_lobes
 from prt_bake.shading.reconstruction import reconstruct
 from prt_bake.shading.sun_shading import sun_radiance
 
 Array = NDArray[np.float64]
 
 _BASIS_ROUNDING = 1e-5
+_SAME_EYE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,8 @@ def shade(
         suns: directional lights that are added without ringing. `suns_apart` divides a lighting into harmonics and
             suns.
 
-    Vertices that were not baked are 0, and directions below the horizon are clamped to it.
+    Vertices that were not baked are 0, and directions below the horizon are clamped to it. An asset made for one eye
+    gives the radiance towards that eye; an InputWarning says so if another one is asked for.
 
     Raises QueryError for a light or an eye of another shape or not finite, for an eye on or in the object, for suns on
     an asset made for one light, and for an asset without baked vertices.
@@ -66,7 +69,18 @@ def shade(
     refuse_path("asset", asset, "prt.read_asset")
     if isinstance(suns, str):
         raise QueryError(f"suns: expected directional lights, such as `prt.suns_apart(...).suns`, found {suns!r}")
+    warn_of_other_eye(asset, eye)
     return shade_vertices(asset, light, eye, suns=suns).radiance
+
+
+def warn_of_other_eye(asset: Asset, eye: ArrayLike) -> None:
+    """Issue an InputWarning if the asset was made for one eye, and this point [3] is another one."""
+    made_for = asset.provenance.get("settings", {}).get("for_eye")
+    point = np.asarray(eye, np.float64)
+    if made_for is None or point.shape != (3,):
+        return
+    if (np.abs(point - made_for) > _SAME_EYE * (1.0 + np.abs(made_for))).any():
+        warn(f"eye: the asset was made for the eye {made_for}: from other positions its colours are wrong")
 
 
 def shade_vertices(
@@ -79,17 +93,17 @@ def shade_vertices(
     """`shade` for the `visible` vertices [V] only, with statistics."""
     if not asset.valid.any():
         raise QueryError(
-            "asset: no vertex was baked, there is nothing to show; bake it again (--resume finishes a partial bake)"
+            "asset: no vertex was baked, there is nothing to show; bake it again (resume finishes a partial bake)"
         )
     prepared = as_asset_light(light, suns)
-    refuse_missing_lobes(prepared, asset)
+    refuse_light_of_other_lobes(prepared, asset)
     if prepared.suns and asset.quantity == "radiance":
         raise QueryError("suns: the asset was made for one light and cannot be relit; pass no suns")
     vertices = np.flatnonzero(asset.valid if visible is None else asset.valid & visible)
     local = eye_in_frames(asset, eye, vertices)
     radiance, of_suns = np.zeros((2, len(asset.valid), 3))
     radiance[vertices], of_suns[vertices] = radiance_towards(asset, prepared, vertices, local)
-    negative = -float(radiance[radiance < 0.0].sum())
+    negative = abs(float(radiance[radiance < 0.0].sum()))
     radiance = np.maximum(radiance, 0.0)
     kept = float(radiance.sum())
     return Shading(radiance, negative / kept if kept > 0.0 else float(negative > 0.0), len(vertices), of_suns)
@@ -173,7 +187,7 @@ def light_coefficients(asset: Asset, light: ArrayLike | None) -> Array:
     except (TypeError, ValueError):
         raise QueryError(
             f"light: expected coefficients [K, 3], such as those of suns_apart (.harmonics) or project_environment, "
-            f"found a {type(light).__name__}"
+            f"found {described(light)}"
         ) from None
     count = sh.count(asset.degree)
     if weights.shape != (count, 3):

@@ -16,7 +16,7 @@ def require_state(output: str | Path) -> Path:
     """Path of the checkpoint; raises ModelError if it does not exist."""
     path = state_path(output)
     if not path.is_file():
-        raise ModelError(f"{path}: not found; there is nothing to resume, train without --resume")
+        raise ModelError(f"{path}: not found; there is nothing to resume, train without resume")
     return path
 
 
@@ -57,18 +57,18 @@ def read_state(output: str | Path, scene_hash: str, settings: dict[str, Any]) ->
         found, version = state["scene"], state.get("version")
     except Exception as fault:
         raise ModelError(
-            f"{path}: not a readable training state ({type(fault).__name__}); train without --resume"
+            f"{path}: not a readable training state ({type(fault).__name__}); train without resume"
         ) from None
     if found != scene_hash:
         raise ModelError(
-            f"{path}: belongs to another scene (the mesh, medium or interface changed); train without --resume"
+            f"{path}: belongs to another scene (the mesh, medium or interface changed); train without resume"
         )
     if version != _VERSION:
-        raise ModelError(f"{path}: has version {version!r}, expected {_VERSION}; train without --resume")
+        raise ModelError(f"{path}: has version {version!r}, expected {_VERSION}; train without resume")
     for name, value in settings.items():
         if state["begun"].get(name) != value:
             raise ModelError(
                 f"{path}: the run began with {name} {state['begun'].get(name)!r}, requested is {value!r}; "
-                "request the same, or train without --resume"
+                "request the same, or train without resume"
             )
     return state

@@ -22,6 +22,7 @@ from formats.atomic import refuse_unwritable
 from formats.errors import QueryError, refuse_path
 from formats.scene import Scene
 from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF, save_model
+from prt_bake.network.checkpoint import refuse_other_suffix
 from prt_bake.network.file_names import state_path
 from prt_bake.tracer.prepared import interface_kind, is_unrefracted
 from prt_bake.tracer.surface.interface import ROUGH
@@ -109,6 +110,7 @@ def train(
     if synchronous and steps is None:
         raise QueryError("train: synchronous needs steps: the number of steps in a time varies from run to run")
     if output is not None:
+        refuse_other_suffix(output)
         for path in (output, state_path(output)):
             refuse_unwritable(path)
     if resume:

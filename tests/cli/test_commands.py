@@ -190,7 +190,7 @@ def test_a_missing_scheduler_is_reported_in_one_sentence(prtbake: Run, tmp_path:
     with dask.config.set({"distributed.comm.timeouts.connect": "1s"}):
         outcome = prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", "--scheduler", address)
     assert outcome.code == 1
-    assert f"--scheduler {address}: no scheduler of dask.distributed answers there" in outcome.err
+    assert f"scheduler {address}: no scheduler of dask.distributed answers there" in outcome.err
     assert "Traceback" not in outcome.err
     assert list(tmp_path.iterdir()) == []
 

@@ -15,7 +15,7 @@ from tests.shading.test_picture import constant, front, make_asset
 from tests.shapes import ball
 
 PUBLIC = [(name, getattr(prt, name)) for name in prt.__all__]
-FUNCTIONS = [(name, value) for name, value in PUBLIC if callable(value) and name != "PrtbakeError"] + [
+FUNCTIONS = [(name, value) for name, value in PUBLIC if callable(value) and not name.endswith(("Error", "Warning"))] + [
     (f"{module}.{name}", value)
     for module in ("sh", "sphere")
     for name, value in vars(getattr(prt, module)).items()

@@ -204,7 +204,7 @@ def test_a_sphere_light_works_in_shade_and_render(prtbake: Run, tmp_path: Path) 
     )
     for outcome in (shown, traced):
         assert outcome.code == 0
-        assert f"--light {lamp}: is taken as distant" in outcome.err
+        assert f"light {lamp}: is taken as distant" in outcome.err
     assert read_image(tmp_path / "b.exr").max() > 0.0
     refused = prtbake(*SHADE, "--light", "sphere:0,0,1:1", "-o", tmp_path / "c.exr")
     assert refused.code == 1

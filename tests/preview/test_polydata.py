@@ -70,7 +70,7 @@ def test_the_defaults_are_the_shipped_sky_and_the_fitted_camera() -> None:
         (ASSET, "none.exr", EYE, prt.PrtbakeError, r"none\.exr"),
         (ASSET, "spot.obj", EYE, LightError, "is not a light"),
         (ASSET, "", EYE, LightError, "is not a light"),
-        (ASSET, [[1.0], [1.0, 2.0]], EYE, QueryError, "expected coefficients"),
+        (ASSET, [[1.0], [1.0, 2.0]], EYE, QueryError, "expected numbers in an array of one shape"),
         (ASSET, np.ones((4, 3)), EYE, QueryError, r"expected shape \[9, 3\]"),
         (ASSET, constant(), [0.0, 0.0, 0.0], QueryError, "inside the object"),
         (ONE_LIGHT, constant(), EYE, QueryError, "made for one light"),
@@ -165,7 +165,7 @@ def test_a_script_shows_the_window(monkeypatch) -> None:
 @pytest.mark.parametrize(
     ("asset", "light", "message"),
     [
-        (ASSET, 3, "expected the path of a light, or what prt.read_lighting returns, found a int"),
+        (ASSET, 3, "expected the path of a light, or what prt.read_lighting returns, found 3"),
         (ONE_LIGHT, "sky.hdr", "made for one light"),
         (ASSET, None, "there is no display for the window; asset.to_pyvista"),
     ],

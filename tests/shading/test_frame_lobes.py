@@ -10,6 +10,7 @@ import prt_bake as prt
 from formats.errors import QueryError
 from prt_bake.lights.lighting import Lighting, Sky, read_lighting
 from prt_bake.shading.frames.frames import Frames
+from tests import ROOT
 from tests.baking.lobes.transports import MESH, Lobed, along_normal
 
 
@@ -48,6 +49,24 @@ def test_a_light_of_lobes_needs_an_asset_with_lobes() -> None:
         prt.shade(plain, light, [0.5, 2.0, -2.5])
     with pytest.raises(QueryError, match="prepared for an asset with lobes"):
         Frames(plain).light(light)
+    with pytest.raises(QueryError, match="prepared for an asset without lobes"):
+        Frames(lobed).light(prt.light_for(plain, lighting))
+    Frames(lobed).light(prt.light_for(plain, lighting, "plain"))
+
+
+def test_a_light_is_for_lobes_of_its_sharpness() -> None:
+    asset = prt.bake(Lobed(), MESH, rings=4, sectors=8, samples=18, lobes=4)
+    assert asset.lobes is not None
+    light = prt.light_for(asset, read_lighting(ROOT / "prt_bake" / "shipped" / "sky.hdr"))
+    for factor in (0.4, 16.0):
+        sharper = replace(asset, lobes=replace(asset.lobes, sharpness=factor * asset.lobes.sharpness))
+        with pytest.raises(
+            QueryError, match=r"prepared for an asset with other lobes; prt.light_for\(asset, lighting\)"
+        ):
+            prt.shade(sharper, light, [0.5, 2.0, -2.5])
+        with pytest.raises(QueryError, match="prepared for an asset with other lobes"):
+            Frames(sharper).light(light)
+    Frames(replace(asset, lobes=replace(asset.lobes, sharpness=1.2 * asset.lobes.sharpness))).light(light)
 
 
 def test_compact_assets_keep_their_lobes(tmp_path: Path) -> None:

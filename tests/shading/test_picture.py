@@ -191,8 +191,8 @@ def test_an_asset_made_for_one_light_is_shaded() -> None:
         (np.ones(9), r"shape \[9, 3\] .*found \[9\]"),
         (np.full((9, 3), np.nan), "27 of its coefficients are not finite"),
         (None, r"expected shape \[9, 3\]"),
-        ("sky.hdr", r"expected coefficients \[K, 3\], .*found a str"),
-        (object(), r"found a object"),
+        ("sky.hdr", r"expected coefficients \[K, 3\], .*found the text 'sky.hdr'"),
+        (object(), "found an object"),
     ],
 )
 def test_lights_that_do_not_fit_are_refused(light, sentence: str) -> None:

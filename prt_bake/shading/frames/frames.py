@@ -7,6 +7,7 @@ import numpy as np
 from numba import get_num_threads
 from numpy.typing import ArrayLike, NDArray
 
+from formats.arguments import finite_number, flag
 from formats.asset import Asset
 from formats.asset.compact_record import CompactCoefficients
 from formats.errors import QueryError
@@ -17,11 +18,11 @@ from prt_bake.face.assets import point as require_point
 from prt_bake.jit.threads import using_threads
 from prt_bake.jit.vectors import laid_out
 from prt_bake.lights.environment import rotate_light, rotation
-from prt_bake.shading.asset_light import AssetLight, refuse_missing_lobes
+from prt_bake.shading.asset_light import AssetLight, refuse_light_of_other_lobes
 from prt_bake.shading.frames import codes, holding, kernels
 from prt_bake.shading.frames.batches import GEOMETRY, LANE, make_scratch
 from prt_bake.shading.frames.lobes import FrameLobes
-from prt_bake.shading.vertices import light_coefficients
+from prt_bake.shading.vertices import light_coefficients, warn_of_other_eye
 
 _FARTHEST = 1e100
 _VERTICES_A_THREAD = 1 << 12
@@ -57,7 +58,7 @@ class Frames:
         require_asset("asset", asset)
         if not asset.valid.any():
             raise QueryError(
-                "asset: no vertex was baked, there is nothing to draw; bake it again (--resume finishes a partial bake)"
+                "asset: no vertex was baked, there is nothing to draw; bake it again (resume finishes a partial bake)"
             )
         self.clamped = 0.0
         self._asset = asset
@@ -101,7 +102,7 @@ class Frames:
         """
         light = light_of_vertices("light", light)
         prepared = light if isinstance(light, AssetLight) else AssetLight(light, whole=light)
-        refuse_missing_lobes(prepared, self._asset)
+        refuse_light_of_other_lobes(prepared, self._asset)
         coefficients = light_coefficients(self._asset, prepared.whole)
         if np.abs(coefficients).max() > np.finfo(np.float32).max:
             raise QueryError(f"light: expected coefficients within float32, found {np.abs(coefficients).max():.3g}")
@@ -118,8 +119,7 @@ class Frames:
         """
         if self._asset.quantity == "radiance":
             raise QueryError("light: the asset was made for one light, which cannot be turned")
-        if not math.isfinite(degrees):
-            raise QueryError(f"degrees: expected a finite number, found {degrees}")
+        degrees = finite_number("degrees", degrees)
         if self._light_waves is None:
             if self._rotations is None:
                 self._rotations = _rotations(self._asset.degree, self._asset.up)
@@ -157,17 +157,18 @@ class Frames:
         A frame then reads one row of K colours per vertex, in order, also for compact assets. Takes 12 K bytes for each
         vertex. `draw` uses it for the same eye, vertices and culling. Raises as `draw`.
         """
+        cull = flag("cull", cull)
         self._set_view(eye, visible)
         size = self._codes.size if self._is_compact else self._terms * self._channels
         if self._held is None:
             self._held = np.zeros(len(self._valid) * size, np.float32)
         with using_threads(self._threads(self._is_compact)) as threads:
-            view = self._scene, self._eye, bool(cull), self._grid, self._scratch
+            view = self._scene, self._eye, cull, self._grid, self._scratch
             if self._is_compact:
                 holding.hold_compact(tuple(self._codes), *view, self._views, self._radiance, self._held, threads)
             else:
                 holding.hold_rows(self._stored, size, *view, self._radiance, self._held, threads)
-        self._held_view = self._eye.copy(), self._scene[1].copy(), bool(cull)
+        self._held_view = self._eye.copy(), self._scene[1].copy(), cull
         self._held_shown = self._scene[-1].copy()
 
     def draw(
@@ -182,14 +183,15 @@ class Frames:
         was set. An eye inside the object is not detected: directions below the horizon are clamped to it, and an eye on
         a vertex uses its normal.
         """
+        cull = flag("cull", cull)
         self._required_light()
         self._set_view(eye, visible)
-        held = self._held if self._holds(bool(cull)) else None
+        held = self._held if self._holds(cull) else None
         coded = self._is_compact and held is None and self._folded is None
         with using_threads(self._threads(coded or self._lobes.lit)) as threads:
             sums = self._sums[threads - 1]
             sums[:] = 0.0
-            self._draw(sums, bool(cull), held)
+            self._draw(sums, cull, held)
         cut, kept = (float(sum(row[i] for row in sums)) for i in (0, 1))
         self.clamped = cut / kept if kept > 0.0 else float(cut > 0.0)
         return self._radiance
@@ -197,7 +199,9 @@ class Frames:
     def _set_view(self, eye: ArrayLike, visible: NDArray[np.bool_] | None) -> None:
         point = np.asarray(require_point("eye", eye), np.float64)
         if point.shape != (3,) or not (np.abs(point) < _FARTHEST).all():
-            raise QueryError(f"eye: expected a point of three finite numbers, found {np.asarray(eye).tolist()}")
+            found = point.tolist() if point.shape == (3,) else f"shape {list(point.shape)}"
+            raise QueryError(f"eye: expected a point of three finite numbers, found {found}")
+        warn_of_other_eye(self._asset, point)
         np.subtract(point, self._centre, out=self._eye)
         self._request(visible)
 
