@@ -108,7 +108,7 @@ def make(
         record.write()
         write_page(record)
     print("\n".join(results(record)))
-    say_next_of_asset(folder / ASSET, "--reflection", lights=light or ())
+    say_next_of_asset(folder / ASSET, "--reflection", *options, lights=light or ())
 
 
 def _scene_file(
