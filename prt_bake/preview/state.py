@@ -141,9 +141,9 @@ class Preview:
         """
         if self.mode is not Mode.RADIANCE or not self.has_suns:
             return None
-        if self.unrefined(eye):
-            return "plain"
-        return self.suns if self._split_light.lobes is None else "lobes"
+        if self._split_light.lobes is not None and not self._radiance.lacks_lobes:
+            return "lobes"
+        return "plain" if self.unrefined(eye) else self.suns
 
     @property
     def _split_light(self) -> AssetLight:

@@ -6,6 +6,7 @@ of the radiance itself. Both are therefore weighted by the inverse squares of th
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +25,21 @@ Array = NDArray[np.float64]
 
 _DARK = 0.3
 """Radiance over its mean for all directions of the sun at which both errors are alike."""
+_ERROR = 0.77
+"""Error over the difference of both: 0.47 to 1.18 on three objects, with the sun in front, at the side and behind."""
+
+
+class SunsAtVertices(NamedTuple):
+    """Radiance [n,3] of suns, not clamped, and its estimated error [n,3], the transport's own left out."""
+
+    radiance: Array
+    error: Array
 
 
 def lobed_sun_radiance(
     asset: Asset, light: AssetLight, vertices: NDArray[np.int64], at: BinCoordinates, lobes: LobesAtViews
-) -> Array:
-    """Radiance [n,3], not clamped, of `vertices` [n] (ascending) towards the eye under the suns of a light alone.
+) -> SunsAtVertices:
+    """The radiance of `vertices` [n] (ascending) towards the eye under the suns of a light alone.
 
     at: as in `reconstruct`; lobes: of the vertices, towards the eye. Linear in the scale of the light, and additive in
     suns.
@@ -42,7 +52,7 @@ def lobed_sun_radiance(
     everywhere = np.zeros_like(light.whole)
     everywhere[0] = 1.0 / math.sqrt(4.0 * math.pi)
     mean = under(everywhere)
-    radiance = np.zeros_like(mean)
+    radiance, squares = np.zeros_like(mean), np.zeros_like(mean)
     for number, smooth in enumerate(radiance_of_each_sun(asset, light.suns, vertices, at)):
         sun = light.suns[number]
         sharp = under(project_lighting(Lighting((), (sun,)), asset.degree))
@@ -50,4 +60,5 @@ def lobed_sun_radiance(
         found, dark = np.maximum(np.maximum(sharp, smooth), 0.0) ** 2, (_DARK * mean * sun.irradiance) ** 2
         share = np.divide(found, found + dark, out=np.zeros_like(found), where=found + dark > 0.0)
         radiance += smooth + share * (sharp - smooth)
-    return radiance
+        squares += (np.maximum(sharp, 0.0) - np.maximum(smooth, 0.0)) ** 2
+    return SunsAtVertices(radiance, _ERROR * np.sqrt(squares))

@@ -20,7 +20,7 @@ from prt_bake.lights.lighting import Lighting, as_lighting
 from prt_bake.reflection.finish import Normals
 from prt_bake.shading.asset_light import AssetLight, prepare_light
 from prt_bake.shading.layers import make_layers
-from prt_bake.shading.picture_error import PictureError, sun_error, view_error
+from prt_bake.shading.picture_error import PictureError, view_error
 from prt_bake.shading.radiance_error import interpolate_over_faces, radiance_error
 from prt_bake.shading.sun_shading import SunTreatment
 from prt_bake.shading.surface_reflection import AssetReflection, reflects
@@ -137,7 +137,7 @@ def render_picture(
         sigma = radiance_error(asset, prepared.whole, outgoing, visible)
     weights = corner_weights(asset, corners, points.barycentric)
     subsurface = np.einsum("nk,nkc->nc", weights, shading.radiance[corners])
-    of_suns = np.einsum("nk,nkc->nc", weights, shading.suns[corners])
+    sun_error = np.einsum("nk,nkc->nc", weights, shading.sun_error[corners])
     shares = np.bincount(corners.ravel(), weights.ravel(), len(visible)).astype(np.float64)
     pixels = PixelMeans(points.pixels, camera, samples**2)
     coverage, picture = pixels.means(None), pixels.means(subsurface)
@@ -176,7 +176,7 @@ def render_picture(
             _ratio(below, signal),
             _ratio(float((bake_error**2).sum()), signal),
             _ratio(float((noise**2).sum()), signal),
-            _part_of_suns(asset, prepared, lighting, pixels.means(of_suns), signal),
+            _suns(prepared, lighting, _ratio(float((pixels.means(sun_error) ** 2).sum()), signal)),
         ),
     )
 
@@ -191,14 +191,11 @@ def _errors(
     return PictureError(network, bake or None, views, noise, known.path_traced, suns)
 
 
-def _part_of_suns(asset: Asset, light: AssetLight, lighting: Lighting, shown: Array, signal: float) -> float | None:
-    """The part of suns in the error, from what they alone show [H,W,3]; None if it is unknown."""
+def _suns(light: AssetLight, lighting: Lighting, error: float) -> float | None:
+    """The part of suns, `error` with lobes; 0 without suns, and None if it is unknown."""
     if not light.found and not lighting.suns:
         return 0.0
-    beyond = sun_error(asset)
-    if beyond is None or not light.suns:
-        return None
-    return beyond * _ratio(float((shown**2).sum()), signal)
+    return error if light.suns and light.lobes is not None else None
 
 
 def _ratio(squares: float, signal: float) -> float:

@@ -31,7 +31,7 @@ class PictureError:
         views: of the interpolation between view bins.
         noise: of reflected rays; 0 without a reflection.
         path_traced: whether a scene was baked, without a network.
-        suns: what suns show of the errors beyond the coefficients (`sun_error`); 0 without suns.
+        suns: of suns beside harmonics (`prt_bake.shading.lobed_suns`); 0 without suns.
 
     >>> print(PictureError(0.03, 0.021, 0.008, 0.0))
     about 3.7% (network 3.0%, bake 2.1%, views 0.8%, noise 0.0%)
@@ -78,20 +78,6 @@ class PictureError:
         if self.total is None:
             return f"unknown ({inside})"
         return f"{'about' if self.known else 'at least'} {self.total:.1%} ({inside})"
-
-
-def sun_error(asset: Asset) -> float | None:
-    """Relative RMSE of the radiance under a sun beyond that of the coefficients, over all directions of the sun.
-
-    It is what the trainer measured of the network's transport Ŝ in single directions, less its error of the
-    coefficients, and what the bake measured beyond its lobes; None if one of them is unknown.
-    """
-    measured = asset.provenance.get("model", {}).get("training", {}).get("relative_rmse", {})
-    lobes = asset.provenance.get("lobes", {})
-    transport, coefficients, left = measured.get("transport"), measured.get("coefficients"), lobes.get("left_by_lobes")
-    if transport is None or coefficients is None or not left:
-        return None
-    return math.sqrt(max(transport**2 - coefficients**2, 0.0) + float(left[-1]) ** 2)
 
 
 def view_error(asset: Asset, light: Array, eye: Any, shares: Array, radiance: Array, sigma: Array) -> float | None:

@@ -28,13 +28,13 @@ class Shading:
 
     clamped: Σ of the negative radiance that was clamped to 0 / Σ of the radiance, over vertices and channels.
     shaded: the number of shaded vertices.
-    suns: [V,3], the part of separately shaded suns, not clamped.
+    sun_error: [V,3], the estimated error of suns and lobes; 0 without lobes.
     """
 
     radiance: Array
     clamped: float
     shaded: int
-    suns: Array
+    sun_error: Array
 
 
 def shade(
@@ -101,25 +101,24 @@ def shade_vertices(
         raise QueryError("suns: the asset was made for one light and cannot be relit; pass no suns")
     vertices = np.flatnonzero(asset.valid if visible is None else asset.valid & visible)
     local = eye_in_frames(asset, eye, vertices)
-    radiance, of_suns = np.zeros((2, len(asset.valid), 3))
-    radiance[vertices], of_suns[vertices] = radiance_towards(asset, prepared, vertices, local)
+    radiance, sun_error = np.zeros((2, len(asset.valid), 3))
+    radiance[vertices], sun_error[vertices] = radiance_towards(asset, prepared, vertices, local)
     negative = abs(float(radiance[radiance < 0.0].sum()))
     radiance = np.maximum(radiance, 0.0)
     kept = float(radiance.sum())
-    return Shading(radiance, negative / kept if kept > 0.0 else float(negative > 0.0), len(vertices), of_suns)
+    return Shading(radiance, negative / kept if kept > 0.0 else float(negative > 0.0), len(vertices), sun_error)
 
 
 def radiance_towards(asset: Asset, light: AssetLight, vertices: NDArray[np.int64], local: Array) -> tuple[Array, Array]:
     """Radiance [n,3], not clamped, of `vertices` [n] (ascending) along `local` [n,3], directions in their frames.
 
-    Also returns the part [n,3] of separately shaded suns in it.
+    Also returns the estimated error [n,3] of suns and lobes (`lobed_suns`), 0 without lobes.
     """
     at = sphere.bin_coordinates(local, asset.rings, asset.sectors)
     weights = light_coefficients(asset, light.harmonics)
     radiance = reconstruct(asset.coefficients, vertices, at, asset.sectors, weights)
     if light.lobes is None or asset.lobes is None:
-        suns = sun_radiance(asset, light.suns, vertices, at)
-        return radiance + suns, suns
+        return radiance + sun_radiance(asset, light.suns, vertices, at), np.zeros_like(radiance)
     from prt_bake.lobes.interpolation import lobes_at
     from prt_bake.lobes.light import lobe_radiance
     from prt_bake.shading.lobed_suns import lobed_sun_radiance
@@ -127,9 +126,8 @@ def radiance_towards(asset: Asset, light: AssetLight, vertices: NDArray[np.int64
     lobes = lobes_at(asset.lobes, vertices, local)
     if not light.suns:
         return radiance + lobe_radiance(light.lobes, *lobes), np.zeros_like(radiance)
-    radiance += lobe_radiance(light.lobes.skies_alone(), *lobes)
     suns = lobed_sun_radiance(asset, light, vertices, at, lobes)
-    return radiance + suns, suns
+    return radiance + lobe_radiance(light.lobes.skies_alone(), *lobes) + suns.radiance, suns.error
 
 
 def surface_radiance(
