@@ -76,7 +76,7 @@ def test_another_shape_is_reported_and_used(prtbake: Run, tmp_path: Path, shape:
     """A photograph of 4:3 is not a cross, since its corners are not empty."""
     path = tmp_path / "sky.exr"
     write_image(path, DRAW.random((*shape, 3)))
-    for command in (("light", path), (*SHADE, "--light", path, "-o", tmp_path / "a.png")):
+    for command in (("light", path), (*SHADE, "--light", path, "-o", tmp_path / "a.exr")):
         outcome = prtbake(*command)
         assert outcome.code == 0
         assert outcome.err.count("\n") == 1
