@@ -123,3 +123,12 @@ def test_lobes_are_drawn_once_kernels_are_loaded() -> None:
     expected = prt.shade(asset, replace(light, harmonics=light.whole, suns=()), EYE)
     np.testing.assert_allclose(radiance.draw(EYE), expected, rtol=1e-4, atol=1e-5)
     assert np.abs(without - expected).max() > 0.1 * expected.max()
+
+
+def test_loading_kernels_is_silent_about_the_eye_of_an_asset() -> None:
+    asset = replace(make_asset(ball(2)), provenance={"settings": {"for_eye": EYE.tolist()}})
+    radiance = VertexRadiance(asset)
+    radiance.load()
+    radiance.draw(EYE)
+    with pytest.warns(prt.InputWarning, match="made for the eye"):
+        radiance.draw(-EYE)
