@@ -25,8 +25,8 @@ def overview(figures: Figures) -> dict[str, str]:
     """Return the lines that a user needs first, by name, from what `prt_bake.inspection.describe` returns."""
     kind = figures["kind"]
     lines = _LINES.get(kind, _others)(figures)
-    size = {"file": _bytes(figures["bytes"])} if "bytes" in figures else {}
-    return {"kind": _WHAT.get(kind, str(kind)), **size, **{name: text for name, text in lines.items() if text}}
+    shown = {name: text for name, text in lines.items() if text}
+    return {"kind": _WHAT[kind], "file": in_bytes(figures["bytes"]), **shown}
 
 
 def _asset(figures: Figures) -> dict[str, str]:
@@ -179,5 +179,6 @@ def _time(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
 
 
-def _bytes(count: int) -> str:
+def in_bytes(count: int) -> str:
+    """Return the size of a file in words, such as 1.2 MB."""
     return f"{count / 1e6:,.1f} MB" if count >= 1e5 else f"{count / 1e3:,.1f} kB"

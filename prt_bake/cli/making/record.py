@@ -15,6 +15,7 @@ from formats.errors import FormatError, StorageError
 from formats.journal import journal_folder
 from formats.json_report import write_report
 from prt_bake.cli.shared.progress import in_words
+from prt_bake.inspection.overview import in_bytes
 from prt_bake.network.file_names import importance_path, report_paths, state_path
 
 MODEL, ASSET, COMPACT = "model.pt", "asset.h5", "compact.h5"
@@ -148,7 +149,7 @@ class Record:
 
     def sizes(self) -> dict[str, str]:
         """The files of the finished steps, each with its size in words."""
-        return {file: _in_bytes(size) for step in self.steps for file, size in step.files.items()}
+        return {file: in_bytes(size) for step in self.steps for file, size in step.files.items()}
 
     def write(self) -> None:
         """Write `summary.json`."""
@@ -204,7 +205,3 @@ def _all_files(folder: Path) -> list[Path]:
 
 def _size(path: Path) -> int | None:
     return path.stat().st_size if path.is_file() else None
-
-
-def _in_bytes(count: int) -> str:
-    return f"{count / 1e6:,.1f} MB" if count >= 1e5 else f"{count / 1e3:,.1f} kB"
