@@ -9,10 +9,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
-from filelock import FileLock, Timeout
-
 from formats.errors import FormatError, StorageError
-from formats.journal import journal_folder
+from formats.journal import acquired, journal_folder
 from formats.json_report import write_report
 from prt_bake.cli.shared.progress import in_words
 from prt_bake.inspection.overview import in_bytes
@@ -45,7 +43,8 @@ class Record:
     Attributes:
         folder: where everything is written.
         settings: what all files depend on; plain JSON values.
-        pictures: what the pictures depend on as well: their "light" in words, and "options" of `prtbake shade`.
+        pictures: what the pictures depend on as well: their "light" in words, hashes of its files, and "options" of
+            `prtbake shade`.
         minutes: time of everything that is made in the folder, by however many runs.
         spent: seconds of all runs so far.
         steps: the finished ones.
@@ -168,13 +167,8 @@ class Record:
 @contextmanager
 def only_run(folder: Path) -> Iterator[None]:
     """Context in which no other `prtbake make` works in the folder. Raises StorageError if one does."""
-    lock = FileLock(folder / _LOCK, timeout=0)
-    try:
-        lock.acquire()
-    except Timeout:
-        raise StorageError(
-            f"{folder}: another `prtbake make` works in this folder; wait until it ends, or choose another folder"
-        ) from None
+    taken = f"{folder}: another `prtbake make` works in this folder; wait until it ends, or choose another folder"
+    lock = acquired(folder / _LOCK, taken)
     try:
         yield
     finally:
