@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from formats.atomic import sha256
 from formats.errors import MeshError, StorageError
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.next_step import command, say_next_of_asset
@@ -93,7 +94,8 @@ def make(
         settings = {"scene": path.name, "scene_hash": read.content_hash}
         options = ["--tone-map", tone_map, *(["--exposure", f"{exposure:g}"] if exposure else [])]
         options += ["--view", side] if side else []
-        pictures = {"light": ", ".join(light) if light else _USUAL_LIGHT, "options": options}
+        files = [sha256(name) for name in light or () if Path(name).is_file()]
+        pictures = {"light": ", ".join(light) if light else _USUAL_LIGHT, "light_files": files, "options": options}
         record = Record.open(folder, settings, pictures, minutes, force)
         Steps(context, record, path, _short(read.mesh_path), lights).run()
         record.figures = figures(folder)
