@@ -34,6 +34,7 @@ def _asset(figures: Figures) -> dict[str, str]:
     unfinished = "no; `prtbake bake --resume` goes on where the bake stopped"
     under = "" if figures["quantity"] == "transfer" else "asset: a baked object under one light, which cannot change"
     seconds, compression = settings.get("seconds"), figures.get("compact: added relative RMSE")
+    eye = settings.get("settings", {}).get("for_eye")
     return {
         **({"kind": under} if under else {}),
         "object": _object(figures, settings.get("mesh")),
@@ -41,7 +42,7 @@ def _asset(figures: Figures) -> dict[str, str]:
         "error of the coefficients": figures["error of the coefficients"],
         "complete": "yes" if figures["complete"] else unfinished,
         "vertices baked": f"{figures['vertices baked']:,}",
-        "view bins": f"{figures['rings']} rings of {figures['sectors']}",
+        "view bins": f"{figures['rings']} rings of {figures['sectors']}" if eye is None else f"none, one eye at {eye}",
         "harmonics": f"degree {figures['degree']}",
         "lobes": figures["lobes"],
         "compressed": "" if compression is None else f"adds {compression:.2%} error",
