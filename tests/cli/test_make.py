@@ -1,6 +1,7 @@
 """`prtbake make`: its steps and times, with commands that only write their files and turn a clock."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
@@ -212,6 +213,24 @@ def test_more_minutes_train_on(kitchen, capsys):
     assert kitchen.run("wax.toml", "-o", "out") == []
     with pytest.raises(PrtbakeError, match=r"out: was made for 30 minutes, found --minutes 20; omit it"):
         kitchen.run("wax.toml", "-o", "out", "--minutes", "20")
+
+
+def test_few_more_minutes_keep_the_model_and_make_what_was_left_out(kitchen, capsys):
+    """A bake anew, in less time than the first had, would be worse, and the training would not go on."""
+    kitchen.seconds["train"], kitchen.frame = 1150.0, 32.0
+    kitchen.run("wax.toml", "-o", "out")
+    kitchen.frame = 4.0
+    asset = Path("out/asset.h5").stat()
+    assert [call[0] for call in kitchen.run("wax.toml", "-o", "out", "--minutes", "26")] == ["turntable"]
+    assert Path("out/asset.h5").stat() == asset
+    found = capsys.readouterr().err
+    assert "--minutes 26 is too short to train on and bake anew, so its model and its asset stay" in found
+    enough = re.search(r"ask for (\d+) or more to train on", found)[1]
+    assert kitchen.run("wax.toml", "-o", "out", "--minutes", str(int(enough) - 1)) == []
+    again = re.search(r"ask for (\d+) or more to train on", capsys.readouterr().err)[1]
+    first, *_ = kitchen.run("wax.toml", "-o", "out", "--minutes", again)
+    assert first[0] == "train"
+    assert 60.0 * first[1] > 1.2 * 1150.0
 
 
 def test_the_quality_of_a_model_is_that_of_its_report(tmp_path):

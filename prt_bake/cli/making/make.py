@@ -51,8 +51,8 @@ def make(
         float | None,
         typer.Option(
             callback=_enough,
-            help="Time of all runs in the folder together, 2 or more; by default 20, or what the folder has. With more "
-            "than it has, the training goes on.",
+            help="Time of all runs in the folder together, 2 or more; by default 20, or what the folder has. With "
+            "twice as much the training goes on; a little more is for what was left out.",
             show_default=False,
         ),
     ] = None,
