@@ -363,12 +363,10 @@ def test_a_mesh_is_checked_before_anything_is_written(kitchen):
         kitchen.run("ball.glb", "-o", "new")
     with pytest.raises(PrtbakeError, match=r"missing\.hdr: there is no such file"):
         kitchen.run("ball.glb", "-o", "new", "--material", "jade", "--size", "5cm", "--light", "missing.hdr")
-    with pytest.raises(typer.BadParameter, match="would look like stone; give its size") as error:
+    with pytest.raises(typer.BadParameter, match="would look like stone; add its size") as error:
         kitchen.run("ball.glb", "-o", "new", "--material", "jade")
     assert not Path("new").exists()
-    assert "such as: prtbake make ball.glb -o new --material jade --size 6cm (--size 2000mm keeps it)" in str(
-        error.value
-    )
+    assert "such as --size 6cm (--size 2000mm keeps it)" in str(error.value)
     assert len(kitchen.run("ball.glb", "-o", "new", "--material", "jade", "--size", "2000mm")) == 4
 
 

@@ -1,7 +1,6 @@
 """`prtbake make`: a scene to an asset and its pictures, in a given time."""
 
 import os
-import shlex
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -128,31 +127,21 @@ def _scene_file(
         return path, None
     draft = draft_scene(scene, material, size, path, "y")
     if size is None:
-        _refuse_opaque(draft, folder)
+        _refuse_opaque(draft)
     return path, draft
 
 
-def _refuse_opaque(draft: "SceneDraft", folder: Path) -> None:
+def _refuse_opaque(draft: "SceneDraft") -> None:
     """Raise typer.BadParameter if an object whose size nobody has given would look like stone."""
     if not draft.light.opaque:
         return
     from prt_bake.inspection.translucency import translucent_size
 
     name = draft.material.name
-    words = (
-        "prtbake",
-        "make",
-        draft.mesh_path,
-        "-o",
-        folder,
-        "--material",
-        name,
-        "--size",
-        translucent_size(draft.light),
-    )
     raise typer.BadParameter(
         f"{draft.mesh_path}: at {draft.light.size:.4g} mm, no light crosses {name}, and the object would look like "
-        f"stone; give its size, such as: {shlex.join(map(str, words))} (--size {draft.light.size:.4g}mm keeps it)"
+        f"stone; add its size, such as --size {translucent_size(draft.light)} "
+        f"(--size {draft.light.size:.4g}mm keeps it)"
     )
 
 
