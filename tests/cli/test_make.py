@@ -76,7 +76,7 @@ class Kitchen:
     ) -> None:
         assert source.is_file()
         assert mesh.is_file()
-        if self.slow and minutes:
+        if self.slow and minutes and not resume:
             self.calls.append(("bake", error, minutes, resume))
             self.now += 60.0 * minutes
             Path(f"{output}.journal").mkdir()
@@ -274,6 +274,14 @@ def test_a_bake_that_is_too_slow_is_coarse(kitchen, capsys):
         in capsys.readouterr().err
     )
     assert "--rings 4 --sectors 8 --samples 18" in summary()["steps"][1]["command"]
+
+
+def test_a_bake_that_has_most_vertices_goes_on(kitchen, monkeypatch, capsys):
+    kitchen.slow = True
+    monkeypatch.setattr(steps, "_share_ready", lambda path: 0.75)
+    calls = kitchen.run("wax.toml", "-o", "out")
+    assert calls[1:3] == [("bake", 0.02, 7.0, False), ("bake", 16, 4.83, True)]  # twice a third of 7 minutes, and 10 s
+    assert "bake: 75% of the vertices were ready after 7 minutes; the others follow" in capsys.readouterr().err
 
 
 def test_the_exit_code_of_a_step_stops_the_rest(kitchen, monkeypatch):
