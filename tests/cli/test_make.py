@@ -1,6 +1,7 @@
 """`prtbake make`: its steps and times, with commands that only write their files and turn a clock."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
@@ -75,7 +76,7 @@ class Kitchen:
     ) -> None:
         assert source.is_file()
         assert mesh.is_file()
-        if self.slow and minutes:
+        if self.slow and minutes and not resume:
             self.calls.append(("bake", error, minutes, resume))
             self.now += 60.0 * minutes
             Path(f"{output}.journal").mkdir()
@@ -214,6 +215,24 @@ def test_more_minutes_train_on(kitchen, capsys):
         kitchen.run("wax.toml", "-o", "out", "--minutes", "20")
 
 
+def test_few_more_minutes_keep_the_model_and_make_what_was_left_out(kitchen, capsys):
+    """A bake anew, in less time than the first had, would be worse, and the training would not go on."""
+    kitchen.seconds["train"], kitchen.frame = 1150.0, 32.0
+    kitchen.run("wax.toml", "-o", "out")
+    kitchen.frame = 4.0
+    asset = Path("out/asset.h5").stat()
+    assert [call[0] for call in kitchen.run("wax.toml", "-o", "out", "--minutes", "26")] == ["turntable"]
+    assert Path("out/asset.h5").stat() == asset
+    found = capsys.readouterr().err
+    assert "--minutes 26 is too short to train on and bake anew, so its model and its asset stay" in found
+    enough = re.search(r"ask for (\d+) or more to train on", found)[1]
+    assert kitchen.run("wax.toml", "-o", "out", "--minutes", str(int(enough) - 1)) == []
+    again = re.search(r"ask for (\d+) or more to train on", capsys.readouterr().err)[1]
+    first, *_ = kitchen.run("wax.toml", "-o", "out", "--minutes", again)
+    assert first[0] == "train"
+    assert 60.0 * first[1] > 1.2 * 1150.0
+
+
 def test_the_quality_of_a_model_is_that_of_its_report(tmp_path):
     (tmp_path / "model.report.json").write_text('{"summary": ["the network is 9 % off"]}')
     assert steps._quality(str(tmp_path / "model.pt")) == "the network is 9 % off"
@@ -258,6 +277,14 @@ def test_a_bake_that_is_too_slow_is_coarse(kitchen, capsys):
         in capsys.readouterr().err
     )
     assert "--rings 4 --sectors 8 --samples 18" in summary()["steps"][1]["command"]
+
+
+def test_a_bake_that_has_most_vertices_goes_on(kitchen, monkeypatch, capsys):
+    kitchen.slow = True
+    monkeypatch.setattr(steps, "_share_ready", lambda path: 0.75)
+    calls = kitchen.run("wax.toml", "-o", "out")
+    assert calls[1:3] == [("bake", 0.02, 7.0, False), ("bake", 16, 4.83, True)]  # twice a third of 7 minutes, and 10 s
+    assert "bake: 75% of the vertices were ready after 7 minutes; the others follow" in capsys.readouterr().err
 
 
 def test_the_exit_code_of_a_step_stops_the_rest(kitchen, monkeypatch):
@@ -347,12 +374,10 @@ def test_a_mesh_is_checked_before_anything_is_written(kitchen):
         kitchen.run("ball.glb", "-o", "new")
     with pytest.raises(PrtbakeError, match=r"missing\.hdr: there is no such file"):
         kitchen.run("ball.glb", "-o", "new", "--material", "jade", "--size", "5cm", "--light", "missing.hdr")
-    with pytest.raises(typer.BadParameter, match="would look like stone; give its size") as error:
+    with pytest.raises(typer.BadParameter, match="would look like stone; add its size") as error:
         kitchen.run("ball.glb", "-o", "new", "--material", "jade")
     assert not Path("new").exists()
-    assert "such as: prtbake make ball.glb -o new --material jade --size 6cm (--size 2000mm keeps it)" in str(
-        error.value
-    )
+    assert "such as --size 6cm (--size 2000mm keeps it)" in str(error.value)
     assert len(kitchen.run("ball.glb", "-o", "new", "--material", "jade", "--size", "2000mm")) == 4
 
 

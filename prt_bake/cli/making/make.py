@@ -9,7 +9,7 @@ import typer
 from formats.atomic import sha256
 from formats.errors import MeshError, StorageError
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
-from prt_bake.cli.shared.next_step import command, say_next_of_asset
+from prt_bake.cli.shared.next_step import say_next_of_asset
 from prt_bake.cli.shared.options import Exposure, ToneMap, View
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
@@ -50,7 +50,8 @@ def make(
         float | None,
         typer.Option(
             callback=_enough,
-            help="Time of all runs in the folder together, 2 or more; by default 20, or what it has; more trains on.",
+            help="Time of all runs in the folder together, 2 or more; by default 20, or what the folder has. With "
+            "twice as much the training goes on; a little more is for what was left out.",
             show_default=False,
         ),
     ] = None,
@@ -122,21 +123,21 @@ def _scene_file(
         return path, None
     draft = draft_scene(scene, material, size, path, "y")
     if size is None:
-        _refuse_opaque(draft, folder)
+        _refuse_opaque(draft)
     return path, draft
 
 
-def _refuse_opaque(draft: "SceneDraft", folder: Path) -> None:
+def _refuse_opaque(draft: "SceneDraft") -> None:
     """Raise typer.BadParameter if an object whose size nobody has given would look like stone."""
     if not draft.light.opaque:
         return
     from prt_bake.inspection.translucency import translucent_size
 
-    name, size = draft.material.name, translucent_size(draft.light)
-    better = command("prtbake", "make", draft.mesh_path, "-o", folder, "--material", name, "--size", size)
+    name = draft.material.name
     raise typer.BadParameter(
         f"{draft.mesh_path}: at {draft.light.size:.4g} mm, no light crosses {name}, and the object would look like "
-        f"stone; give its size, such as: {better} (--size {draft.light.size:.4g}mm keeps it)"
+        f"stone; add its size, such as --size {translucent_size(draft.light)} "
+        f"(--size {draft.light.size:.4g}mm keeps it)"
     )
 
 

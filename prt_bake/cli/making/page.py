@@ -45,7 +45,7 @@ def _lines(record: Record) -> Iterator[str]:
     )
     yield (
         "* A longer training lowers the error of the network, which usually is the largest: the same `prtbake make` "
-        "with more `--minutes` trains on"
+        "with twice the `--minutes` trains on"
     )
     yield f"* {_lobes(record)}"
     yield ""

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ from typing import Any, Self
 from formats.errors import FormatError, StorageError
 from formats.journal import acquired, journal_folder
 from formats.json_report import write_report
-from prt_bake.cli.shared.progress import in_words
+from prt_bake.cli.shared.progress import in_words, say
 from prt_bake.inspection.overview import in_bytes
 from prt_bake.network.file_names import importance_path, report_paths, state_path
 
@@ -67,9 +68,10 @@ class Record:
     ) -> Self:
         """Return the record of a folder, or begin one.
 
-        Without `minutes` a folder keeps its time. With more than it had the training continues, and what follows is
-        made anew. Other pictures are made anew alone. Raises StorageError if the folder holds files of these names that
-        are of other settings, or were not made by `prtbake make`, unless `force`, which removes them.
+        Without `minutes` a folder keeps its time. With as much again as its steps took the training continues, and what
+        follows is made anew; with less more its model and its asset stay. Other pictures are made anew alone. Raises
+        StorageError if the folder holds files of these names that are of other settings, or were not made by `prtbake
+        make`, unless `force`, which removes them.
         """
         if force:
             for path in _all_files(folder):
@@ -115,6 +117,13 @@ class Record:
                 "more, or omit it"
             )
         self.minutes = minutes
+        enough = math.ceil((self.spent + sum(step.seconds for step in self.steps)) / 60.0)
+        if minutes < enough:
+            say(
+                f"{self.folder}: --minutes {minutes:g} is too short to train on and bake anew, so its model and its "
+                f"asset stay; ask for {enough} or more to train on"
+            )
+            return
         self.unfinished |= {step.name: step.seconds for step in self.steps if step.name == "train"}
         self.steps = []
 

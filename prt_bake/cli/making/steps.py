@@ -33,6 +33,10 @@ _LEAST_USABLE = 0.5
 _OVERRUN = 0.05
 """Share of the time by which the last steps may exceed it."""
 _BAKE_ERROR, COMPRESSION_ERROR = 0.02, 0.005
+_START_SECONDS = 10.0
+"""What a bake takes until its first vertex, generously."""
+_MOST = 0.5
+"""Share of the vertices from which a bake that is late goes on: their rest takes less time than a coarse bake."""
 _COARSE = ("--rings", "4", "--sectors", "8", "--samples", "18", "--lobes", "0")
 """A bake that takes seconds, for slow machines whose time is over before an adaptive bake has its first pass."""
 _PICTURE_SIDE, _TURNTABLE_SIDE, _TURNTABLE_SAMPLES = 512, 256, 2
@@ -97,17 +101,27 @@ class Steps:
 
     def _bake(self) -> None:
         asset = self._file(ASSET)
-        minutes = _minutes(max(self._left() - REST * self._total, _LEAST_SHARE * self._total, _LEAST_SECONDS))
+        seconds = max(self._left() - REST * self._total, _LEAST_SHARE * self._total, _LEAST_SECONDS)
         arguments = ["bake", self._file(MODEL), str(self._mesh), "-o", asset, "--workers", str(os.cpu_count() or 1)]
-        latest = time.monotonic() + 60.0 * float(minutes)
+        ready, after = self._bake_for(seconds, arguments), f"were ready after {_minutes(seconds)} minutes"
+        if _MOST <= ready < 1.0:
+            say(f"bake: {ready:.0%} of the vertices {after}; the others follow")
+            ready = self._bake_for(2.0 * seconds * (1.0 / ready - 1.0) + _START_SECONDS, arguments)
+        if ready < 1.0:
+            say(f"bake: not all vertices {after}; a coarse bake follows, of fewer views")
+            self._run("bake", [*arguments, *_COARSE], [ASSET])
+
+    def _bake_for(self, seconds: float, arguments: list[str]) -> float:
+        """Bake, or continue the bake, for a time. Returns the share of the vertices that are ready then."""
+        asset, latest = Path(self._file(ASSET)), time.monotonic() + seconds
+        within = ["--error", f"{_BAKE_ERROR:g}", "--minutes", _minutes(seconds)]
         try:
-            within = ["--error", f"{_BAKE_ERROR:g}", "--minutes", minutes]
             self._run("bake", [*arguments, *within], [ASSET], journal_folder(asset))
         except PrtbakeError:
-            if time.monotonic() < latest or _is_complete(Path(asset)):
+            if time.monotonic() < latest or (ready := _share_ready(asset)) == 1.0:
                 raise
-            say(f"bake: not all vertices were ready after {minutes} minutes; a coarse bake follows, of fewer views")
-            self._run("bake", [*arguments, *_COARSE], [ASSET])
+            return ready
+        return 1.0
 
     def _picture(self) -> None:
         self._run("picture", self._shade(PICTURE, _PICTURE_SIDE), [PICTURE])
@@ -221,10 +235,14 @@ def _quality(model: str) -> str:
     return quality_of(load_model(model))
 
 
-def _is_complete(asset: Path) -> bool:
+def _share_ready(path: Path) -> float:
+    """The share of the vertices that an asset has; 0 if there is none."""
     from formats.asset import read_asset
 
-    return asset.is_file() and bool(read_asset(asset).complete)
+    if not path.is_file():
+        return 0.0
+    asset = read_asset(path)
+    return 1.0 if asset.complete else min(float(asset.valid.mean()), 0.999)
 
 
 def _minutes(seconds: float) -> str:
