@@ -200,8 +200,17 @@ def to_world(local: ArrayLike, normals: ArrayLike, tangents: ArrayLike) -> NDArr
 def _frame(
     directions: ArrayLike, normals: ArrayLike, tangents: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    normal, tangent = _vectors(normals, "normals"), _vectors(tangents, "tangents")
-    return _vectors(directions, "directions"), normal, tangent, np.cross(normal, tangent)
+    world, normal, tangent = (
+        _vectors(directions, "directions"),
+        _vectors(normals, "normals"),
+        _vectors(tangents, "tangents"),
+    )
+    try:
+        np.broadcast_shapes(world.shape, normal.shape, tangent.shape)
+    except ValueError as cause:
+        shapes = ", ".join(str(list(each.shape)) for each in (world, normal, tangent))
+        raise QueryError(f"directions, normals and tangents: expected shapes that broadcast, found {shapes}") from cause
+    return world, normal, tangent, np.cross(normal, tangent)
 
 
 def _vectors(vectors: ArrayLike, name: str) -> NDArray[np.float64]:
