@@ -74,7 +74,7 @@ def test_a_dry_run_states_the_cost_of_lobes(prtbake: Run) -> None:
     assert '"lobes_in_a_view"' in outcome.out
     assert '"bytes"' in outcome.out
     hurried = prtbake("bake", "model.pt", "sphere.ply", "--error", 0.2, "--minutes", 1e-4, "--dry-run")
-    assert "more than 25% of the time limit" in hurried.out
+    assert "more than 50% of the time limit" in hurried.out
 
 
 def test_pictures_show_lobes_unless_suns_are_plain(prtbake: Run, tmp_path: Path) -> None:
