@@ -31,6 +31,23 @@ def journal_folder(output: str | os.PathLike[str]) -> Path:
     return Path(output).with_name(f"{Path(output).name}.journal")
 
 
+def acquired(path: Path, taken: str) -> FileLock:
+    """Return the lock of the file `path`, acquired, unless the file system has no locks.
+
+    Raises StorageError, with the message `taken` if another process has it.
+    """
+    lock = FileLock(path, timeout=0)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise StorageError(taken) from None
+    except NotImplementedError:
+        pass
+    except OSError as cause:
+        raise storage_error(path.parent, cause) from cause
+    return lock
+
+
 class Journal:
     """Named blocks of named arrays, in a folder beside `output` that is locked until the context ends.
 
@@ -134,20 +151,16 @@ class Journal:
 
     def _locked(self) -> FileLock:
         """Create the folder if needed, and return its lock, acquired."""
-        lock = FileLock(self.folder / _LOCK, timeout=0)
         try:
             self.folder.mkdir(exist_ok=True)
-            lock.acquire()
-        except Timeout:
-            raise StorageError(
-                f"{self._output}: another process is writing it (it holds {self.folder / _LOCK}); wait until that "
-                f"process ends, or write elsewhere"
-            ) from None
-        except NotImplementedError:  # a file system without locks
-            pass
         except OSError as cause:
             raise storage_error(self.folder, cause) from cause
-        return lock
+        path = self.folder / _LOCK
+        return acquired(
+            path,
+            f"{self._output}: another process is writing it (it holds {path}); wait until that process ends, or write "
+            "elsewhere",
+        )
 
     def _refuse_foreign(self) -> None:
         """Raise StorageError if the folder's path is taken by something that this class has not written."""

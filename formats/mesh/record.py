@@ -78,23 +78,21 @@ class Mesh:
     flat_shaded: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("positions", "faces", "normals", "uv", "corner_uv"):
-            if getattr(self, name) is not None or not name.endswith("uv"):
-                object.__setattr__(self, name, numbers(f"mesh: {name}", getattr(self, name)))
-        count, triangles = (len(array) if array.ndim else 0 for array in (self.positions, self.faces))
+        given = (numbers(f"mesh: {name}", getattr(self, name)) for name in ("positions", "faces"))
+        count, triangles = (len(array) if array.ndim else 0 for array in given)
         expected = {
             **{"positions": (count, 3), "faces": (triangles, 3), "normals": (count, 3)},
             **{"uv": (count, 2), "corner_uv": (triangles, 3, 2)},
         }
         for name, shape in expected.items():
-            array = getattr(self, name)
-            if array is None and name in ("uv", "corner_uv"):
+            if getattr(self, name) is None and name in ("uv", "corner_uv"):
                 continue
-            if np.shape(array) != shape:
-                raise MeshError(f"mesh: {name}: expected shape {list(shape)}, found {list(np.shape(array))}")
+            array = numbers(f"mesh: {name}", getattr(self, name))
+            if array.shape != shape:
+                raise MeshError(f"mesh: {name}: expected shape {list(shape)}, found {list(array.shape)}")
             kind = np.int32 if name == "faces" else np.float64
             if name == "faces":
-                _refuse_indices(np.asarray(array), count)
+                _refuse_indices(array, count)
             object.__setattr__(self, name, np.ascontiguousarray(array, kind))
         if self.corner_uv is None and self.uv is not None:
             object.__setattr__(self, "corner_uv", self.uv[self.faces])

@@ -103,8 +103,7 @@ def bake(
         progress: called after each block.
         stop: called before each block; returning true ends the bake with a valid partial asset, as Ctrl-C does.
         resume: continue from the finished blocks of a stopped or killed bake of the same `out`, transport, mesh and
-            arguments. The result is the same, bit for bit. Without such blocks the bake starts from the
-            beginning.
+            arguments. The result is the same, bit for bit. Without such blocks the bake starts from the beginning.
         leave_out: items of "unseen", "duplicates", "views", "bands" and "channels" that may be pruned where they are
             redundant (`prt_bake.baking.pruning.pruning`); `baking.ITEMS` are all of them. Pruned axes have length 1,
             pruned vertices are not valid, and the asset's `left_out` lists each item.

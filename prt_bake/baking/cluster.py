@@ -73,7 +73,7 @@ class Cluster:
             elif now - self._last_seen > PATIENCE:
                 raise ClusterError(
                     f"{self._address}: the scheduler has had no worker for {PATIENCE:.0f} s; start workers "
-                    f"(dask worker {self._address}) and resume it: finished blocks are kept"
+                    f"(dask worker {self._address}) and resume the bake: finished blocks are kept"
                 )
             return max(1, self._threads)
 
@@ -180,12 +180,12 @@ def _cluster_faults(address: str, *lost: type[Exception]) -> Iterator[None]:
     except KilledWorker as cause:
         raise ClusterError(
             f"{address}: {cause.allowed_failures + 1} workers died one after the other with the same block; check "
-            f"that they have enough memory, and resume it: finished blocks are kept"
+            f"that they have enough memory, and resume the bake: finished blocks are kept"
         ) from cause
     except vanished as cause:
         raise ClusterError(
-            f"{address}: the connection to the scheduler is lost; restart it and its workers, and resume with "
-            f"resume: finished blocks are kept"
+            f"{address}: the connection to the scheduler is lost; restart it and its workers, and "
+            f"resume the bake: finished blocks are kept"
         ) from cause
     except ImportError as cause:
         raise ClusterError(

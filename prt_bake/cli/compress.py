@@ -46,7 +46,7 @@ def compress(
         print(f"{target}: {outcome.after:,} bytes of coefficients in {outcome.seconds:.1f} s")
         return
     tried = outcome.asset.provenance["compression"]["tried"]
-    print("tried, of which the smallest within the error is written:")
+    print("forms tried; the smallest within the error is written:")
     for line in dict.fromkeys(f"{row['form']:<24} {row['size']:>13,} bytes  error {row['error']:.3%}" for row in tried):
         print(f"  {line}")
     added = outcome.compact.added

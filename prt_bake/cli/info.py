@@ -7,8 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from prt_bake.cli.shared.next_step import say_next, say_next_of_file
+from prt_bake.cli.shared.next_step import command, say_next_of_file
 from prt_bake.cli.shared.options import AsJson
+from prt_bake.cli.shared.progress import say
 
 _LONGEST_LIST = 100
 """Characters; longer lists are printed as their length."""
@@ -34,7 +35,7 @@ def info(
     for name, value in lines.items():
         print(f"{name:<{width}}  {value}")
     if not all_figures:
-        say_next("prtbake", "info", file, "--all")
+        say(f"every figure: {command('prtbake', 'info', file, '--all')}")
     say_next_of_file(description["kind"], file)
 
 

@@ -126,10 +126,10 @@ def shade(
         require("--error-picture", "matplotlib")
     from formats.asset import read_asset
     from formats.image.animation import refuse_unavailable
+    from prt_bake.cli.shared.exposure import exposure_remark
     from prt_bake.cli.shared.viewing import camera_for
     from prt_bake.lights.lighting import read_lighting
     from prt_bake.lights.skies.downsampled import rows_shown
-    from prt_bake.shading.exposure import exposure_remark
     from prt_bake.shading.selftest import warn_of_failed_selftest
 
     refuse_unavailable(output, size.width, size.height)

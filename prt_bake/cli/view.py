@@ -13,7 +13,7 @@ import typer
 from formats.errors import QueryError
 from formats.extras import require
 from prt_bake.cli.shared import signals
-from prt_bake.cli.shared.fixed import fixed_light, fixed_view
+from prt_bake.cli.shared.fixed import fixed_light
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.options import (
     USUAL_FOV,
@@ -116,7 +116,7 @@ def view(
         plotter.show(auto_close=False, interactive=False)
         opened = _open(reading.result(), options, off_screen)
     print(f"{asset}: error of the coefficients {opened.preview.asset.error}")
-    for remark in _remarks(opened.preview, light or [], opened.start.eye if off_screen else None):
+    for remark in _remarks(opened.preview, light or []):
         say(f"{asset}: {remark}")
     _show(window, plotter, opened, asset.name, screenshot, compare)
 
@@ -155,6 +155,7 @@ def _open(baked: "Asset", options: _Options, refined: bool) -> _Opened:
     from prt_bake.geometry import camera
     from prt_bake.preview.lights import LightSource
     from prt_bake.preview.state import Preview
+    from prt_bake.shading.one_eye import warn_of_other_eye
 
     light = options.light
     if light is None:
@@ -179,6 +180,7 @@ def _open(baked: "Asset", options: _Options, refined: bool) -> _Opened:
     shape = options.size or (DEFAULT_SIZE if reference is None else Size(reference.shape[1], reference.shape[0]))
     start = camera_for(baked.mesh, shape, axis, options.side, options.eye, options.look_at, options.fov, False, None)
     camera.refuse_eye_in_object(baked.mesh, start.eye)
+    warn_of_other_eye(baked, start.eye)
     if refined:
         preview.refine(start.eye)
     preview.colours(start.eye)
@@ -208,14 +210,12 @@ def _show(window: Any, plotter: Any, opened: _Opened, name: str, screenshot: Pat
     plotter.close()
 
 
-def _remarks(preview: "Preview", lights: list[str], screenshot_eye: Any) -> Iterator[str]:
-    """Yield what the asset cannot show; `screenshot_eye` is None in a window, whose eye moves."""
+def _remarks(preview: "Preview", lights: list[str]) -> Iterator[str]:
+    """Yield what the asset cannot show."""
     from prt_bake.preview import reasons
 
     asset = preview.asset
-    for light in lights or [""]:
-        yield from fixed_light(asset, [light] if light else [], preview.rotation)
-    yield from fixed_view(asset, screenshot_eye)
+    yield from fixed_light(asset, lights, preview.rotation)
     if not asset.complete:
         yield "is a partial bake; vertices not yet baked are black"
     if preview.reflecting and (reason := reasons.of_reflection(preview)):

@@ -14,6 +14,7 @@ from formats.mesh import as_mesh
 from prt_bake.face.assets import asset, light_of_vertices, point
 
 Check = Callable[[str, Any], Any]
+_COVERAGE_ROUNDING = 1e-3
 
 
 def scene(name: str, value: Any) -> Any:
@@ -321,7 +322,6 @@ def mask(name: str, value: Any) -> Any:
 
 
 WHOLE = arguments.whole_number
-_COVERAGE_ROUNDING = 1e-3
 
 KINDS: dict[str, Check] = {
     "asset": asset,

@@ -44,7 +44,7 @@ def checked(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         with suppress(TypeError):
             bound = signature.bind(*args, **kwargs)
         if bound is None:
-            refuse_misspelt(name, kwargs, signature)
+            _refuse_misspelt(name, kwargs, signature)
             return function(*args, **kwargs)  # raises Python's own error, which names the function
         for parameter, value in bound.arguments.items():
             check = checks[parameter]
@@ -59,7 +59,7 @@ def checked(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-def refuse_misspelt(name: str, given: Iterable[str], signature: inspect.Signature) -> None:
+def _refuse_misspelt(name: str, given: Iterable[str], signature: inspect.Signature) -> None:
     """Raise TypeError for a keyword that is nearly the name of a parameter."""
     for each in given:
         near = difflib.get_close_matches(each, signature.parameters, 1, 0.75)

@@ -76,9 +76,8 @@ class Camera:
         object.__setattr__(self, "up", self.up / length)
         for name in ("width", "height"):
             object.__setattr__(self, name, arguments.whole_number(name, getattr(self, name)))
-        for name in ("fov", "extent"):
-            if name == "fov" or self.extent is not None:
-                object.__setattr__(self, name, arguments.real_number(name, getattr(self, name)))
+        for name in ("fov",) if self.extent is None else ("fov", "extent"):
+            object.__setattr__(self, name, arguments.real_number(name, getattr(self, name)))
         if self.width < 1 or self.height < 1:
             raise QueryError(f"camera: expected at least 1x1 pixels, found {self.width}x{self.height}")
         if self.width * self.height > _MOST_PIXELS:

@@ -25,8 +25,8 @@ def overview(figures: Figures) -> dict[str, str]:
     """Return the lines that a user needs first, by name, from what `prt_bake.inspection.describe` returns."""
     kind = figures["kind"]
     lines = _LINES.get(kind, _others)(figures)
-    size = {"file": _bytes(figures["bytes"])} if "bytes" in figures else {}
-    return {"kind": _WHAT.get(kind, str(kind)), **size, **{name: text for name, text in lines.items() if text}}
+    shown = {name: text for name, text in lines.items() if text}
+    return {"kind": _WHAT[kind], "file": in_bytes(figures["bytes"]), **shown}
 
 
 def _asset(figures: Figures) -> dict[str, str]:
@@ -34,6 +34,7 @@ def _asset(figures: Figures) -> dict[str, str]:
     unfinished = "no; `prtbake bake --resume` goes on where the bake stopped"
     under = "" if figures["quantity"] == "transfer" else "asset: a baked object under one light, which cannot change"
     seconds, compression = settings.get("seconds"), figures.get("compact: added relative RMSE")
+    eye = settings.get("settings", {}).get("for_eye")
     return {
         **({"kind": under} if under else {}),
         "object": _object(figures, settings.get("mesh")),
@@ -41,7 +42,7 @@ def _asset(figures: Figures) -> dict[str, str]:
         "error of the coefficients": figures["error of the coefficients"],
         "complete": "yes" if figures["complete"] else unfinished,
         "vertices baked": f"{figures['vertices baked']:,}",
-        "view bins": f"{figures['rings']} rings of {figures['sectors']}",
+        "view bins": f"{figures['rings']} rings of {figures['sectors']}" if eye is None else f"none, one eye at {eye}",
         "harmonics": f"degree {figures['degree']}",
         "lobes": figures["lobes"],
         "compressed": "" if compression is None else f"adds {compression:.2%} error",
@@ -179,5 +180,6 @@ def _time(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
 
 
-def _bytes(count: int) -> str:
+def in_bytes(count: int) -> str:
+    """Return the size of a file in words, such as 1.2 MB."""
     return f"{count / 1e6:,.1f} MB" if count >= 1e5 else f"{count / 1e3:,.1f} kB"

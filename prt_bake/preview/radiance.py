@@ -15,6 +15,7 @@ from formats.asset.compact_record import CompactCoefficients
 from prt_bake.lights import environment
 from prt_bake.mathematics import sh, sphere
 from prt_bake.shading.asset_light import AssetLight
+from prt_bake.shading.one_eye import eye_made_for
 
 if TYPE_CHECKING:
     from prt_bake.shading.frames.frames import Frames
@@ -50,10 +51,10 @@ class VertexRadiance:
         if self._frames is None:
             from prt_bake.shading.frames.frames import Frames
 
-            frames = Frames(self._asset)
+            frames, bounds = Frames(self._asset), self._asset.mesh.bounds
             if self._asset.quantity == "transfer":
                 frames.light(self._light)
-            frames.draw(self._asset.mesh.bounds[1] + self._asset.mesh.diagonal)
+            frames.draw(eye_made_for(self._asset) or bounds[1] + self._asset.mesh.diagonal)
             # Assigned last, so that a concurrent `draw` sees either none or all of it and then sets its light.
             self._light_is_set = False
             self._frames = frames

@@ -7,9 +7,8 @@ _MADE_FOR_ONE_LIGHT = "the asset was made for one light"
 
 def of_other_lights(preview: Preview) -> str:
     """Return why there is no next light."""
-    if not preview.relightable:
-        return _MADE_FOR_ONE_LIGHT
-    return "" if len(preview.lights) > 1 else "there is one light: drop a sky on the window to add one"
+    alone = "" if len(preview.lights) > 1 else "there is one light: drop a sky on the window to add one"
+    return of_rotation(preview) or alone
 
 
 def of_rotation(preview: Preview) -> str:
@@ -31,14 +30,13 @@ def of_background(preview: Preview) -> str:
 
 def of_suns(preview: Preview) -> str:
     """Return why there are no suns to treat in another way."""
-    if not preview.has_suns:
-        return "no suns: this light has no small strong sources"
-    return _of_mode(preview)
+    return of_tone_map(preview) if preview.has_suns else "no suns: this light has no small strong sources"
 
 
 def of_tone_map(preview: Preview) -> str:
-    """Return why there is nothing to tone map."""
-    return _of_mode(preview)
+    """Return why false colours are shown, which have no light."""
+    keys = {Mode.ERROR: "e", Mode.VALID: "v", Mode.COEFFICIENT: "c"}
+    return f"not in this view: {keys[preview.mode]} returns to the light" if preview.mode in keys else ""
 
 
 def _of_sky(preview: Preview, what: str) -> str:
@@ -46,9 +44,4 @@ def _of_sky(preview: Preview, what: str) -> str:
         return f"{what}: {_MADE_FOR_ONE_LIGHT}"
     if preview.light.picture is None:
         return f"{what}: {preview.lights[preview.current].name} has no sky"
-    return _of_mode(preview)
-
-
-def _of_mode(preview: Preview) -> str:
-    keys = {Mode.ERROR: "e", Mode.VALID: "v", Mode.COEFFICIENT: "c"}
-    return f"not in this view: {keys[preview.mode]} returns to the light" if preview.mode in keys else ""
+    return of_tone_map(preview)

@@ -200,9 +200,8 @@ class Window:
 
     def _slider(self, span: tuple[float, float], number: int, change: Callable[[float], None]) -> Any:
         def on_change(value: float) -> None:
-            if value != min(
-                max(current(), span[0]), span[1]
-            ):  # the knob of an exposure beyond the slider is at its end
+            low, high = span
+            if value != min(max(current(), low), high):  # the knob of an exposure beyond the slider is at its end
                 change(value)
                 self.render()
 

@@ -8,18 +8,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.arguments import described
 from formats.asset import Asset
-from formats.errors import QueryError, refuse_path, warn
+from formats.errors import QueryError, refuse_path
 from formats.scene.lights import DirectionalLight
 from prt_bake.geometry.camera import refuse_eye_in_object
 from prt_bake.mathematics import sh, sphere
 from prt_bake.shading.asset_light import AssetLight, as_asset_light, refuse_light_of_other_lobes
+from prt_bake.shading.one_eye import warn_of_other_eye
 from prt_bake.shading.reconstruction import reconstruct
 from prt_bake.shading.sun_shading import sun_radiance
 
 Array = NDArray[np.float64]
 
 _BASIS_ROUNDING = 1e-5
-_SAME_EYE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -71,16 +71,6 @@ def shade(
         raise QueryError(f"suns: expected directional lights, such as `prt.suns_apart(...).suns`, found {suns!r}")
     warn_of_other_eye(asset, eye)
     return shade_vertices(asset, light, eye, suns=suns).radiance
-
-
-def warn_of_other_eye(asset: Asset, eye: ArrayLike) -> None:
-    """Issue an InputWarning if the asset was made for one eye, and this point [3] is another one."""
-    made_for = asset.provenance.get("settings", {}).get("for_eye")
-    point = np.asarray(eye, np.float64)
-    if made_for is None or point.shape != (3,):
-        return
-    if (np.abs(point - made_for) > _SAME_EYE * (1.0 + np.abs(made_for))).any():
-        warn(f"eye: the asset was made for the eye {made_for}: from other positions its colours are wrong")
 
 
 def shade_vertices(

@@ -328,7 +328,7 @@ def test_info_and_check_of_every_kind(prtbake: Run, file: str, kind: str) -> Non
     assert len(screen.out.splitlines()) + len(screen.err.splitlines()) <= 25
     checked = prtbake("check", file)
     assert (checked.code, checked.out) == (0, f"{file}: sound\n")
-    assert screen.err == f"next: prtbake info {file} --all\n{checked.err}"
+    assert screen.err == f"prtbake: every figure: prtbake info {file} --all\n{checked.err}"
     assert checked.err.startswith("next: prtbake ") if kind != "picture" else not checked.err
 
 

@@ -233,6 +233,9 @@ def test_other_pictures_are_made_alone(kitchen):
     assert calls[0][2:] == ("sun:0,1,0", "none", 0.0, "back")
     calls = kitchen.run("wax.toml", "-o", "out", "--exposure", "-1")
     assert calls[0][-3:] == ("agx", -1.0, "")
+    for irradiance, made in (("[1, 1, 1]", 2), ("[1, 1, 1]", 0), ("[2, 2, 2]", 2)):
+        Path("lights.toml").write_text(f"[[directional]]\ndirection = [0, 1, 0]\nirradiance = {irradiance}\n")
+        assert len(kitchen.run("wax.toml", "-o", "out", "--light", "lights.toml")) == made
 
 
 def test_one_run_at_a_time(kitchen):

@@ -110,6 +110,7 @@ def test_what_lies_beside_a_file_is_not_made_again(
 ) -> None:
     for name in ("sphere.ply", "scene.toml"):
         (tmp_path / name).symlink_to(folder / name)
+    assert _next(prtbake("check", tmp_path / "scene.toml").err)[-1] == str(tmp_path / "scene.pt")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scene.pt").symlink_to(folder / "model.pt")
     assert _next(prtbake("check", "scene.toml").err)[:2] == ["bake", "scene.pt"]

@@ -115,10 +115,10 @@ def test_a_stopped_command_that_keeps_what_it_has_ends_as_shells_expect(
         with stopping() as stop:
             signal.raise_signal(number)
             assert stop()
-        return {"kind": "x"}
+        return {}
 
     monkeypatch.setattr("prt_bake.inspection.files.describe", stopped)
-    assert prtbake("info", "scene.toml").code == code
+    assert prtbake("info", "scene.toml", "--json").code == code
     assert prtbake("light", "sky.exr").code == 0
 
 

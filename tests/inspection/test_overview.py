@@ -36,6 +36,12 @@ def test_an_asset_of_one_light_says_so(tmp_path: Path) -> None:
     assert overview(describe(tmp_path / "a.h5"))["kind"] == "asset: a baked object under one light, which cannot change"
 
 
+def test_an_asset_of_one_eye_says_so(tmp_path: Path) -> None:
+    asset = make_asset(ball(1), provenance={"settings": {"for_eye": [0.0, 1.0, 9.0]}})
+    write_asset(asset, tmp_path / "a.h5")
+    assert overview(describe(tmp_path / "a.h5"))["view bins"] == "none, one eye at [0.0, 1.0, 9.0]"
+
+
 def test_a_mesh_is_closed_or_has_open_edges(tmp_path: Path) -> None:
     mesh = ball(1)
     write_mesh(mesh, tmp_path / "a.ply")

@@ -17,6 +17,7 @@ from prt_bake.preview.radiance import VertexRadiance
 from prt_bake.shading.frames.frames import Frames
 from tests.baking.lobes.transports import MESH, Lobed
 from tests.shading import reference
+from tests.shading.test_frame_lobes import everywhere
 from tests.shading.test_picture import make_asset, make_light
 from tests.shapes import ball
 
@@ -120,6 +121,15 @@ def test_lobes_are_drawn_once_kernels_are_loaded() -> None:
     radiance.load()
     assert not radiance.lacks_lobes
     light = prt.light_for(asset, lighting.turned(40.0, "y"))
-    expected = prt.shade(asset, replace(light, harmonics=light.whole, suns=()), EYE)
+    expected = prt.shade(asset, everywhere(light), EYE)
     np.testing.assert_allclose(radiance.draw(EYE), expected, rtol=1e-4, atol=1e-5)
     assert np.abs(without - expected).max() > 0.1 * expected.max()
+
+
+def test_loading_kernels_is_silent_about_the_eye_of_an_asset() -> None:
+    asset = replace(make_asset(ball(2)), provenance={"settings": {"for_eye": EYE.tolist()}})
+    radiance = VertexRadiance(asset)
+    radiance.load()
+    radiance.draw(EYE)
+    with pytest.warns(prt.InputWarning, match="made for the eye"):
+        radiance.draw(-EYE)

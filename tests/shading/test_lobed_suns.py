@@ -12,6 +12,7 @@ from prt_bake.mathematics.directions import fibonacci, random_rotations
 from prt_bake.shading.vertices import shade_vertices
 from tests.baking.lobes.transports import MESH, Lobed, along_normal, towards
 from tests.lights.test_suns import clouds
+from tests.shading.test_frame_lobes import everywhere
 from tests.shading.test_picture import front
 from tests.shading.test_suns import sun
 
@@ -28,10 +29,6 @@ class Opaque:
         return np.repeat((np.clip(cosine, 0.0, None) ** 0.5 + 0.01)[..., None], 3, axis=-1)
 
 
-def unblended(light):
-    return replace(light, harmonics=light.whole, suns=())
-
-
 @pytest.fixture(scope="module")
 def opaque():
     return prt.bake(Opaque(), MESH, rings=4, sectors=16, lobes=4)
@@ -42,7 +39,7 @@ def test_the_dark_has_fewer_errors_and_the_light_keeps_its_lobes(opaque) -> None
     for direction in fibonacci(30):
         light = prt.light_for(opaque, Lighting((), (sun(direction, (1.0, 1.0, 1.0), 0.0),)))
         exact = Opaque().evaluate(direction[None], MESH.positions, VIEWS)[:, 0]
-        errors = [prt.shade(opaque, lit, VIEWS) - exact for lit in (light, unblended(light))]
+        errors = [prt.shade(opaque, lit, VIEWS) - exact for lit in (light, everywhere(light))]
         cosine = MESH.normals @ direction
         dark.append([error[cosine < -0.3] for error in errors])
         bright.append([error[cosine > 0.3] for error in errors])

@@ -1,17 +1,16 @@
 """`prtbake make`: a scene to an asset and its pictures, in a given time."""
 
 import os
-import shlex
-from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from formats.atomic import sha256
 from formats.errors import MeshError, StorageError
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
-from prt_bake.cli.shared.next_step import say_next_of_asset
-from prt_bake.cli.shared.options import View
+from prt_bake.cli.shared.next_step import command, say_next_of_asset
+from prt_bake.cli.shared.options import Exposure, ToneMap, View
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
 from prt_bake.cli.start.init import MaterialName, ObjectSize, draft_scene, write_draft
@@ -51,8 +50,7 @@ def make(
         float | None,
         typer.Option(
             callback=_enough,
-            help="Time of all runs in the folder together, 2 or more; by default 20, or what the folder has. With more "
-            "than it has, the training goes on.",
+            help="Time of all runs in the folder together, 2 or more; by default 20, or what it has; more trains on.",
             show_default=False,
         ),
     ] = None,
@@ -65,13 +63,8 @@ def make(
         ),
     ] = None,
     side: View = None,
-    exposure: Annotated[
-        float, typer.Option(min=-64, max=64, metavar="EV", help="Makes the pictures 2^EV times as bright.")
-    ] = 0.0,
-    tone_map: Annotated[
-        Literal["none", "agx"],
-        typer.Option(help="Of the pictures: agx turns bright light white, as Blender does; none clips it."),
-    ] = "agx",
+    exposure: Exposure = 0.0,
+    tone_map: ToneMap = "agx",
     force: Annotated[
         bool, typer.Option("--force", help="Make everything anew; removes the files of an earlier run.")
     ] = False,
@@ -90,7 +83,7 @@ def make(
     scene.stat()  # a file that is not there is reported before any folder is made
     refuse_other_kinds({"SCENE": (scene, ("scene", "mesh")), "--light": (light, LIGHT)})
     path, draft = _scene_file(scene, folder, material, size, force)
-    lights = _lights(light, path, draft)
+    lights = _lights(light, draft or _read(path))
     check_outputs({"--output": [folder / name for name in all_names()]}, {"SCENE": scene, "--light": light}, folder)
     with only_run(folder):
         if draft is not None:
@@ -101,7 +94,8 @@ def make(
         settings = {"scene": path.name, "scene_hash": read.content_hash}
         options = ["--tone-map", tone_map, *(["--exposure", f"{exposure:g}"] if exposure else [])]
         options += ["--view", side] if side else []
-        pictures = {"light": ", ".join(light) if light else _USUAL_LIGHT, "options": options}
+        files = [sha256(name) for name in light or () if Path(name).is_file()]
+        pictures = {"light": ", ".join(light) if light else _USUAL_LIGHT, "light_files": files, "options": options}
         record = Record.open(folder, settings, pictures, minutes, force)
         Steps(context, record, path, _short(read.mesh_path), lights).run()
         record.figures = figures(folder)
@@ -138,30 +132,20 @@ def _refuse_opaque(draft: "SceneDraft", folder: Path) -> None:
         return
     from prt_bake.inspection.translucency import translucent_size
 
-    name = draft.material.name
-    words = (
-        "prtbake",
-        "make",
-        draft.mesh_path,
-        "-o",
-        folder,
-        "--material",
-        name,
-        "--size",
-        translucent_size(draft.light),
-    )
+    name, size = draft.material.name, translucent_size(draft.light)
+    better = command("prtbake", "make", draft.mesh_path, "-o", folder, "--material", name, "--size", size)
     raise typer.BadParameter(
         f"{draft.mesh_path}: at {draft.light.size:.4g} mm, no light crosses {name}, and the object would look like "
-        f"stone; give its size, such as: {shlex.join(map(str, words))} (--size {draft.light.size:.4g}mm keeps it)"
+        f"stone; give its size, such as: {better} (--size {draft.light.size:.4g}mm keeps it)"
     )
 
 
-def _lights(light: list[str] | None, path: Path, draft: "SceneDraft | None") -> list[str]:
+def _lights(light: list[str] | None, shown: "Scene | SceneDraft") -> list[str]:
     """Return the lights of the pictures, which can be read."""
     from prt_bake.lights.lighting import read_lighting
+    from prt_bake.shipped.examples import example
 
-    shown = draft or _read(path)
-    lights = light or [str(resources.files("prt_bake.shipped") / "sky.hdr"), _SUN_BEHIND[shown.up]]
+    lights = light or [str(example("sky.hdr")), _SUN_BEHIND[shown.up]]
     read_lighting(lights, shown.up, mesh=shown.mesh, say=say)
     return lights
 

@@ -66,4 +66,4 @@ def _lobes(record: Record) -> str:
     """What the asset has of narrow light, and how to add it."""
     entry = record.figures["lobes"]
     added = "" if entry["lobes_in_a_view"] else f"; `prtbake lobes {MODEL} {ASSET}` adds them, if they gain anything"
-    return f"Narrow light ({lobes_sentence(entry).replace(': ', '): ', 1)}{added}"
+    return f"Narrow light, {lobes_sentence(entry)}{added}"

@@ -9,12 +9,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
-from filelock import FileLock, Timeout
-
 from formats.errors import FormatError, StorageError
-from formats.journal import journal_folder
+from formats.journal import acquired, journal_folder
 from formats.json_report import write_report
 from prt_bake.cli.shared.progress import in_words
+from prt_bake.inspection.overview import in_bytes
 from prt_bake.network.file_names import importance_path, report_paths, state_path
 
 MODEL, ASSET, COMPACT = "model.pt", "asset.h5", "compact.h5"
@@ -44,7 +43,8 @@ class Record:
     Attributes:
         folder: where everything is written.
         settings: what all files depend on; plain JSON values.
-        pictures: what the pictures depend on as well: their "light" in words, and "options" of `prtbake shade`.
+        pictures: what the pictures depend on as well: their "light" in words, hashes of its files, and "options" of
+            `prtbake shade`.
         minutes: time of everything that is made in the folder, by however many runs.
         spent: seconds of all runs so far.
         steps: the finished ones.
@@ -148,7 +148,7 @@ class Record:
 
     def sizes(self) -> dict[str, str]:
         """The files of the finished steps, each with its size in words."""
-        return {file: _in_bytes(size) for step in self.steps for file, size in step.files.items()}
+        return {file: in_bytes(size) for step in self.steps for file, size in step.files.items()}
 
     def write(self) -> None:
         """Write `summary.json`."""
@@ -167,13 +167,8 @@ class Record:
 @contextmanager
 def only_run(folder: Path) -> Iterator[None]:
     """Context in which no other `prtbake make` works in the folder. Raises StorageError if one does."""
-    lock = FileLock(folder / _LOCK, timeout=0)
-    try:
-        lock.acquire()
-    except Timeout:
-        raise StorageError(
-            f"{folder}: another `prtbake make` works in this folder; wait until it ends, or choose another folder"
-        ) from None
+    taken = f"{folder}: another `prtbake make` works in this folder; wait until it ends, or choose another folder"
+    lock = acquired(folder / _LOCK, taken)
     try:
         yield
     finally:
@@ -204,7 +199,3 @@ def _all_files(folder: Path) -> list[Path]:
 
 def _size(path: Path) -> int | None:
     return path.stat().st_size if path.is_file() else None
-
-
-def _in_bytes(count: int) -> str:
-    return f"{count / 1e6:,.1f} MB" if count >= 1e5 else f"{count / 1e3:,.1f} kB"

@@ -9,7 +9,6 @@ import io
 import json
 import math
 import os
-import shlex
 import shutil
 import time
 from pathlib import Path
@@ -21,7 +20,7 @@ from formats.errors import PrtbakeError
 from formats.journal import journal_folder
 from prt_bake.cli.making.record import ASSET, COMPACT, MODEL, PICTURE, TURNTABLE, Record, model_files
 from prt_bake.cli.shared import signals
-from prt_bake.cli.shared.next_step import without_next
+from prt_bake.cli.shared.next_step import command, without_next
 from prt_bake.cli.shared.progress import in_words, reporting, say
 from prt_bake.network.file_names import report_paths, state_path
 
@@ -233,7 +232,7 @@ def _minutes(seconds: float) -> str:
 
 
 def _text(arguments: list[str]) -> str:
-    return shlex.join(["prtbake", *arguments])
+    return command("prtbake", *arguments)
 
 
 def figures(folder: Path) -> dict[str, Any]:

@@ -28,10 +28,7 @@ _REMEDIES = {
     ("scene", "mesh"): "begin with a scene of it: prtbake init {file} --material NAME",
     ("asset", "scene"): "train a model on it first: prtbake train {file} -o {pt}",
     ("source", "asset"): "it is baked already; show it: prtbake view {file}",
-    (
-        "source",
-        "mesh",
-    ): "the mesh comes second; without a scene begin with: prtbake init {file} --material NAME",
+    ("source", "mesh"): "the mesh comes second; without a scene begin with: prtbake init {file} --material NAME",
     ("scene", "model"): "it is trained already; bake it: prtbake bake {file} MESH -o {h5}",
     ("scene", "asset"): "it is baked already; show it: prtbake view {file}",
     ("model", "scene"): "train one on it first: prtbake train {file} -o {pt}",

@@ -67,10 +67,10 @@ def say_next_of_file(kind: str, file: Path) -> None:
 
         say_next("prtbake", "init", file, "--material", "jade", *(("--size", "10cm") if needs_a_size(file) else ()))
     elif kind == "scene" and not model.exists():
-        say_next("prtbake", "train", file, "-o", model.name)
+        say_next("prtbake", "train", file, "-o", model)
     elif kind in ("scene", "model") and not asset.exists():
         source = model if kind == "scene" else file
-        say_next("prtbake", "bake", source, *(() if _knows_its_mesh(source) else ("MESH",)), "-o", asset.name)
+        say_next("prtbake", "bake", source, *(() if _knows_its_mesh(source) else ("MESH",)), "-o", asset)
     elif kind in ("scene", "model", "asset"):
         say_next_of_asset(file if kind == "asset" else asset)
 

@@ -164,11 +164,11 @@ OnlyEye = Annotated[
 ]
 Exposure = Annotated[
     float,
-    typer.Option(min=-64, max=64, metavar="EV", help="Multiply by 2^EV before the sRGB curve; not in .exr and .hdr."),
+    typer.Option(min=-64, max=64, metavar="EV", help="Make pictures 2^EV times as bright; not .exr and .hdr."),
 ]
 ToneMap = Annotated[
     Literal["none", "agx"],
-    typer.Option(help="none clips bright light; agx, as in Blender, turns it white. Not in .exr and .hdr."),
+    typer.Option(help="none clips bright light; agx, as in Blender, turns it white; not in .exr and .hdr."),
 ]
 Reflection = Annotated[
     bool,

@@ -22,7 +22,8 @@ from prt_bake.shading.asset_light import AssetLight, refuse_light_of_other_lobes
 from prt_bake.shading.frames import codes, holding, kernels
 from prt_bake.shading.frames.batches import GEOMETRY, LANE, make_scratch
 from prt_bake.shading.frames.lobes import FrameLobes
-from prt_bake.shading.vertices import light_coefficients, warn_of_other_eye
+from prt_bake.shading.one_eye import warn_of_other_eye
+from prt_bake.shading.vertices import light_coefficients
 
 _FARTHEST = 1e100
 _VERTICES_A_THREAD = 1 << 12

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from prt_bake.shading.exposure import exposure_remark
+from prt_bake.cli.shared.exposure import exposure_remark
 
 SEEN = np.repeat([1.0, 0.5, 0.0], 40)[:, None]
 
