@@ -186,7 +186,8 @@ def to_local(directions: ArrayLike, normals: ArrayLike, tangents: ArrayLike) -> 
     [0.0, 1.0, 0.0]
     """
     world, normal, tangent, bitangent = _frame(directions, normals, tangents)
-    return np.stack([(world * axis).sum(axis=-1) for axis in (tangent, bitangent, normal)], axis=-1)
+    along = np.broadcast_arrays(*((world * axis).sum(axis=-1) for axis in (tangent, bitangent, normal)))
+    return np.stack(along, axis=-1)
 
 
 def to_world(local: ArrayLike, normals: ArrayLike, tangents: ArrayLike) -> NDArray[np.float64]:
