@@ -267,6 +267,9 @@ def write_asset(asset: Asset, path: str | os.PathLike[str]) -> None:
     if isinstance(asset.coefficients, CompactCoefficients):
         write_compact(asset, path)
         return
+    if len(asset.coefficients.shape) != 4:
+        found = list(asset.coefficients.shape)
+        raise AssetError(f"{path}: coefficients have shape {found}; expected [V, B, K, 3]")
     _, views, _, channels = asset.coefficients.shape
     with AssetWriter(path, asset, storage=asset.storage, views=views, channels=channels) as writer:
         baked = np.flatnonzero(asset.valid)

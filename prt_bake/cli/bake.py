@@ -18,7 +18,7 @@ from prt_bake.cli.shared.next_step import say_next_of_asset
 from prt_bake.cli.shared.options import Force, OnlyEye, ReportFile, Seed, output_option, within
 from prt_bake.cli.shared.outputs import check_outputs, refuse_existing, warn_of_small_disk
 from prt_bake.cli.shared.plan import plan_lines
-from prt_bake.cli.shared.progress import bake_progress, reporting, say, stopping
+from prt_bake.cli.shared.progress import Stop, bake_progress, reporting, say, stopping
 
 if TYPE_CHECKING:
     from prt_bake.baking.bake import Progress
@@ -174,6 +174,7 @@ def bake(
     if resume and not (journal := journal_folder(output)).is_dir():
         say(f"{journal}: there is no checkpoint to resume from; the bake starts from the beginning")
     with reporting("bake", "pilot on a few vertices") as show, stopping() as stop:
+        stop.at_once = True  # plan and pilot leave nothing to keep
         asset = baking.bake(
             transport,
             surface,
@@ -183,7 +184,7 @@ def bake(
             minutes=minutes,
             out=output,
             scheduler=scheduler,
-            progress=_saying(effort.sentence, bake_progress(show, effort.error)),
+            progress=_saying(effort.sentence, stop, bake_progress(show, effort.error)),
             stop=stop,
             resume=resume,
             **shared,
@@ -231,8 +232,11 @@ def _refuse_existing(output: Path, force: bool, resume: bool) -> None:
     refuse_existing([output, *([journal] if unfinished else [])], force, resume if unfinished else None)
 
 
-def _saying(effort: str, progress: "Progress") -> "Progress":
-    """The progress callback, which first says what the bake does, once its arguments and files are in order."""
+def _saying(effort: str, stop: Stop, progress: "Progress") -> "Progress":
+    """The progress callback, which first says what the bake does, once its arguments and files are in order.
+
+    From the first finished vertex on `stop` lets the current block end.
+    """
     said = False
 
     def report(done: int, total: int, status: Any) -> None:
@@ -240,6 +244,7 @@ def _saying(effort: str, progress: "Progress") -> "Progress":
         if not said:
             said = True
             say(f"bakes {effort}" + OTHER_EFFORTS * effort.endswith("the default"))
+        stop.at_once = stop.at_once and done == 0
         progress(done, total, status)
 
     return report

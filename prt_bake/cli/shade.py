@@ -10,6 +10,7 @@ import typer
 from formats.extras import require
 from prt_bake.cli.shared.fixed import fixed_light
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
+from prt_bake.cli.shared.next_step import say_next, say_next_of_asset, unused
 from prt_bake.cli.shared.options import (
     ANIMATION_SUFFIXES,
     FLAT_SHADED,
@@ -176,6 +177,16 @@ def shade(
         f"{output}: {picture.shaded} vertices in {picture.seconds:.2f} s, clamped negative radiance "
         f"{abs(picture.clamped):.3%} of the energy" + _light_figures(baked, picture.suns, suns, bool(lighting.skies))
     )
+    kept = [*(["--view", side] if side else []), *(["--eye", ",".join(map(str, eye))] if eye else [])]
+    kept += [*(["--tone-map", tone_map] if tone_map != "none" else []), *(["--reflection"] if reflection else [])]
+    kept += ["--exposure", f"{exposure:g}"] if exposure else []
+    if turntable is not None:
+        say_next_of_asset(asset, *kept, lights=light)
+        return
+    lit = [word for each in light for word in ("--light", each)]
+    turning = "light" if baked.quantity == "transfer" else "eye"
+    animation = unused(output.with_suffix(".webp"))
+    say_next("prtbake", "shade", asset, *lit, *kept, "--size", size, "--turntable", turning, "-o", animation)
 
 
 def _files(output: Path, frames: int) -> list[Path]:

@@ -38,6 +38,8 @@ from prt_bake.mathematics import sh
 Array = NDArray[np.float64]
 
 _REMEDY = "repair the picture, or have it repaired as it is read (--mend; mend=True in Python)"
+_UNIT_TOLERANCE = 1e-3
+"""Largest deviation of a direction's length from 1."""
 MAX_BYTES = 512 << 20
 """Larger skies are downsampled. For smaller ones a copy would take longer to make than it saves."""
 
@@ -103,6 +105,10 @@ class Lighting:
         towards = np.asarray(numbers("directions", directions), np.float64)
         if towards.ndim != 2 or towards.shape[1] != 3:
             raise QueryError(f"directions: expected shape [N, 3], found {list(towards.shape)}")
+        off = ~(np.abs(np.linalg.norm(towards, axis=1) - 1.0) <= _UNIT_TOLERANCE)
+        if off.any():
+            first = towards[off.argmax()].tolist()
+            raise QueryError(f"directions: expected unit vectors, found {int(off.sum())} that are not, such as {first}")
         return radiance(self.skies, self.suns, towards)
 
     def turned(self, degrees: float, up: str) -> "Lighting":

@@ -9,6 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.arguments import whole_number
 from formats.errors import QueryError
 from prt_bake.mathematics.random import hashed, uniforms
 
@@ -25,7 +26,7 @@ def uniform(count: int, seed: int) -> NDArray[np.float64]:
     >>> sphere.uniform(2, seed=1).shape
     (2, 3)
     """
-    _require_some(count)
+    _require_some(count, seed)
     numbers = uniforms((UNIFORM_STREAM, seed, np.arange(count)), 2)
     return on_sphere(numbers[:, 0], numbers[:, 1])
 
@@ -40,7 +41,7 @@ def sobol(count: int, seed: int) -> NDArray[np.float64]:
     """
     from scipy.stats import qmc
 
-    _require_some(count)
+    _require_some(count, seed)
     if count > 2**SOBOL_BITS:
         raise QueryError(f"Sobol directions: expected at most 2**{SOBOL_BITS}, found {count}")
     sequence = qmc.Sobol(2, bits=SOBOL_BITS, rng=np.random.default_rng(int(hashed(SOBOL_STREAM, seed))))
@@ -92,7 +93,7 @@ def random_rotations(count: int, seed: int) -> NDArray[np.float64]:
 
     Raises QueryError if `count` is below 1.
     """
-    _require_some(count)
+    _require_some(count, seed)
     return rotations(uniforms((ROTATION_STREAM, seed, np.arange(count)), 3))
 
 
@@ -116,6 +117,7 @@ def on_sphere(height: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray
     return np.stack([radius * np.cos(phi), radius * np.sin(phi), 1 - 2 * height], axis=-1)
 
 
-def _require_some(count: int) -> None:
-    if count < 1:
+def _require_some(count: int, seed: int = 0) -> None:
+    whole_number("seed", seed)
+    if whole_number("count", count) < 1:
         raise QueryError(f"number of directions: expected 1 or more, found {count}")

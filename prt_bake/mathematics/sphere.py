@@ -186,7 +186,8 @@ def to_local(directions: ArrayLike, normals: ArrayLike, tangents: ArrayLike) -> 
     [0.0, 1.0, 0.0]
     """
     world, normal, tangent, bitangent = _frame(directions, normals, tangents)
-    return np.stack([(world * axis).sum(axis=-1) for axis in (tangent, bitangent, normal)], axis=-1)
+    along = np.broadcast_arrays(*((world * axis).sum(axis=-1) for axis in (tangent, bitangent, normal)))
+    return np.stack(along, axis=-1)
 
 
 def to_world(local: ArrayLike, normals: ArrayLike, tangents: ArrayLike) -> NDArray[np.float64]:
@@ -200,8 +201,17 @@ def to_world(local: ArrayLike, normals: ArrayLike, tangents: ArrayLike) -> NDArr
 def _frame(
     directions: ArrayLike, normals: ArrayLike, tangents: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    normal, tangent = _vectors(normals, "normals"), _vectors(tangents, "tangents")
-    return _vectors(directions, "directions"), normal, tangent, np.cross(normal, tangent)
+    world, normal, tangent = (
+        _vectors(directions, "directions"),
+        _vectors(normals, "normals"),
+        _vectors(tangents, "tangents"),
+    )
+    try:
+        np.broadcast_shapes(world.shape, normal.shape, tangent.shape)
+    except ValueError as cause:
+        shapes = ", ".join(str(list(each.shape)) for each in (world, normal, tangent))
+        raise QueryError(f"directions, normals and tangents: expected shapes that broadcast, found {shapes}") from cause
+    return world, normal, tangent, np.cross(normal, tangent)
 
 
 def _vectors(vectors: ArrayLike, name: str) -> NDArray[np.float64]:

@@ -4,6 +4,7 @@
 """
 
 import os
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import replace
 from functools import partial
@@ -23,7 +24,7 @@ from prt_bake.network.features.interior import Interior
 from prt_bake.network.features.view_features import ViewEncoding, ViewFeatures
 from prt_bake.network.features.view_path import Body, ViewPath, path_through
 from prt_bake.network.lobes import LOBE_PARAMETERS, Lobes, decode_lobes, evaluate_lobes
-from prt_bake.network.queries import float64_tensor, queries
+from prt_bake.network.queries import float64_tensor, queries, refuse_outside
 from prt_bake.network.settings import EXIT_INPUTS, NetworkSettings
 from prt_bake.network.surface_check import OwnSurface
 
@@ -69,6 +70,8 @@ class NetworkCore(nn.Module):
         self.settings = settings or NetworkSettings()
         self.box_side = real_number("box_side", box_side)
         self.output_scale = real_number("output_scale", output_scale)
+        if not isinstance(metadata, Mapping | None):
+            raise QueryError(f"metadata: expected a dictionary, found {described(metadata)}")
         self.metadata: dict[str, Any] = dict(metadata or {})
         corner = torch.as_tensor(np.array(numbers("box_min", box_min), np.float64))
         scales = (self.box_side, self.output_scale)
@@ -312,6 +315,8 @@ class NetworkCore(nn.Module):
         Runs `radiance` in batches, and is the reference for `evaluate_block`.
         """
         light, x, eye = queries(incident, positions, outgoing, self.frequencies.device)
+        if self.surface is not None:
+            refuse_outside(x, self.box_min, self.box_side)
         count = x.shape[0]
         light = light.expand(count, *light.shape[-2:]) if light.ndim == 2 else light
         directions = light.shape[1]

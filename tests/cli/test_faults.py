@@ -207,6 +207,19 @@ def test_ctrl_c_leaves_a_valid_partial_asset(folder: Path, tmp_path: Path, prtba
     assert prtbake("check", tmp_path / "a.h5").code == 0
 
 
+def test_ctrl_c_before_the_first_vertex_of_a_bake_ends_it_at_once(
+    folder: Path, tmp_path: Path, prtbake: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def planning(*_: object) -> None:
+        signal.raise_signal(signal.SIGINT)
+        raise AssertionError("the plan goes on after Ctrl-C")
+
+    monkeypatch.setattr("prt_bake.baking.bake.plan_lobes_of_bake", planning)
+    outcome = prtbake("bake", folder / "model.pt", folder / "sphere.ply", "-o", tmp_path / "a.h5", "--samples", 16)
+    assert (outcome.code, outcome.err.splitlines()[-1]) == (130, "prtbake: stopped by Ctrl-C before it was finished")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_killed_bake_leaves_the_older_asset(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "a.h5").write_bytes(b"an older output")
     process = _start_long_bake(folder, tmp_path / "a.h5")

@@ -16,6 +16,9 @@ ASSET = make_asset(MESH)
 LIGHT, SKY = np.ones((9, 3)), np.ones((8, 16, 3), np.float32)
 LIGHTING = prt.read_lighting("sun:0,1,0")
 EYE = np.array([0.0, 0.0, 5.0])
+UP = np.array([[0.0, 0.0, 1.0]])
+NETWORK = prt.NeuralBSSRDF()
+SPOT = prt.load_model(prt.example("spot.pt")).on(prt.read_mesh(prt.example("spot.obj")))
 
 
 def camera(**arguments: Any) -> prt.Camera:
@@ -58,6 +61,33 @@ WRONG: dict[str, tuple[Callable[[], Any], str]] = {
     "mesh complex": (lambda: prt.Mesh(1j * MESH.positions, MESH.faces, MESH.normals), "found complex128 values"),
     "box text": (lambda: prt.NeuralBSSRDF(box_min="a"), "box_min: expected an array of numbers"),
     "box side text": (lambda: prt.NeuralBSSRDF(box_side="2"), "box_side must be a number, found the text '2'"),
+    "box metadata": (lambda: prt.NeuralBSSRDF(metadata="x"), "metadata: expected a dictionary, found the text 'x'"),
+    "no such device": (lambda: prt.NeuralBSSRDF().prepared(device="tpu"), "device: expected 'cpu', .* found 'tpu'"),
+    "no GPU": (lambda: prt.NeuralBSSRDF().prepared(device="cuda"), "device: expected 'cpu', .* found 'cuda'"),
+    "position nan": (
+        lambda: NETWORK.evaluate(UP, np.nan * UP, UP),
+        "positions: expected finite .* 1 of 1 that are not",
+    ),
+    "outgoing nan": (lambda: NETWORK.evaluate(UP, UP, np.nan * UP), "outgoing: expected unit vectors, .* length nan"),
+    "position far": (
+        lambda: SPOT.evaluate(UP, 99 * UP, UP),
+        r"positions: .* its box .* 1 of 1 outside; the first, .* 99",
+    ),
+    "block nan": (
+        lambda: SPOT.evaluate_block(UP[None], [[0]], np.nan * UP, UP[None]),
+        "positions: expected finite numbers, found 1 of 1 that are not",
+    ),
+    "seen along nothing": (lambda: LIGHTING.radiance([[0, 0, 0]]), r"directions: expected unit .* such as \[0.0, 0.0"),
+    "count text": (lambda: prt.sphere.fibonacci("9"), "count must be a whole number, found the text '9'"),
+    "seed text": (lambda: prt.sphere.sobol(9, "x"), "seed must be a whole number, found the text 'x'"),
+    "frames apart": (
+        lambda: prt.sphere.to_local(UP, [[0, 0, 1]] * 2, [[1, 0, 0]] * 3),
+        r"found \[1, 3\], \[2, 3\], \[3",
+    ),
+    "coefficients flat": (
+        lambda: prt.write_asset(dataclasses.replace(ASSET, coefficients=np.ones((3, 3))), "a.h5"),
+        r"a.h5: coefficients have shape \[3, 3\]; expected \[V, B, K, 3\]",
+    ),
     "frame turned": (lambda: frames().turn("90"), "degrees must be a number, found the text '90'"),
     "frame culled": (lambda: frames().draw(EYE, cull="no"), "cull: expected True or False, found the text 'no'"),
     "frame held": (lambda: frames().hold(EYE, cull=1), "cull: expected True or False, found 1"),
@@ -68,7 +98,8 @@ WRONG: dict[str, tuple[Callable[[], Any], str]] = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_a_record_names_the_argument_and_what_was_found(name: str) -> None:
+def test_a_record_names_the_argument_and_what_was_found(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     call, sentence = WRONG[name]
     with pytest.raises(prt.PrtbakeError, match=sentence):
         call()

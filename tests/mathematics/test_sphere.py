@@ -231,3 +231,9 @@ def test_local_frame_is_right_handed_and_invertible() -> None:
 def test_vectors_need_three_components() -> None:
     with pytest.raises(QueryError, match=r"\[\.\.\., 3\]"):
         sphere.to_local([1.0, 2.0], [0, 0, 1.0], [1.0, 0, 0])
+
+
+def test_one_direction_has_coordinates_in_several_frames() -> None:
+    frames = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    found = sphere.to_local([[0.0, 0.0, 1.0]], frames, [[1.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(found, [[0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])

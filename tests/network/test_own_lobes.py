@@ -17,7 +17,8 @@ from tests.shapes import ball
 
 def network(lobes: int) -> NeuralBSSRDF:
     torch.manual_seed(1)
-    return NeuralBSSRDF(replace(LOBED, lobes=lobes), interior=glass_ball(1.4)).on(ball(1))
+    box = (-1.0, -1.0, -1.0), 2.0
+    return NeuralBSSRDF(replace(LOBED, lobes=lobes), *box, interior=glass_ball(1.4)).on(ball(1))
 
 
 def test_own_lobes_are_what_the_smooth_network_lacks() -> None:

@@ -64,7 +64,7 @@ class SceneDraft:
         else:
             yield f'unit = "{NO_UNIT}"'
             yield (
-                f"unit_in_mm = {self.unit_in_mm:.9g}  # millimetres per unit of the mesh: its longest side is "
+                f"unit_in_mm = {self.unit_in_mm:.7g}  # millimetres per unit of the mesh: its longest side is "
                 f"{self.light.size:.4g} mm"
             )
 

@@ -25,7 +25,7 @@ from prt_bake.network.inference.light_tables import CachedTables, LightTable, ta
 from prt_bake.network.inference.linear import linear_for
 from prt_bake.network.inference.product_kernel import product_rows
 from prt_bake.network.lobes import Bands, Lobes, evaluate_bands, evaluate_lobes, lobe_bands
-from prt_bake.network.queries import float64_tensor
+from prt_bake.network.queries import float64_tensor, require_finite
 
 PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16}
 ROWS_PER_TILE = {"cpu": 2048, "cuda": 1 << 17}
@@ -208,6 +208,8 @@ class FusedNetwork:
             return _cosines_and_sines(exponentials), torch.empty((len(exponentials), 0, 3), device=self._device)
         eye = torch.from_numpy(np.array(outgoing, np.float64))
         x = torch.from_numpy(np.array(positions, np.float64))[:, None].expand_as(eye)
+        require_finite("positions", x)
+        require_finite("outgoing", eye)
         return self.view_rows(x.reshape(-1, 3), eye.reshape(-1, 3))
 
     def view_rows(self, positions: Tensor, outgoing: Tensor) -> tuple[Tensor, Tensor]:

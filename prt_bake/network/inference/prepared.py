@@ -1,5 +1,8 @@
 """Chooses the frozen form of a network for a device."""
 
+import torch
+
+from formats.errors import QueryError
 from prt_bake.network.core import NetworkCore
 from prt_bake.network.inference.fused import PRECISIONS, FusedNetwork
 
@@ -7,8 +10,12 @@ from prt_bake.network.inference.fused import PRECISIONS, FusedNetwork
 def prepared_for(network: NetworkCore, precision: str, device: str) -> FusedNetwork:
     """A frozen copy of the network: with GPU kernels on "cuda" if they support it, otherwise with fused layers.
 
-    Raises QueryError on a precision other than "float32" and "bfloat16".
+    Raises QueryError on a precision other than "float32" and "bfloat16", and on a device that is not there.
     """
+    if device != "cpu" and not (device.split(":")[0] == "cuda" and torch.cuda.is_available()):
+        raise QueryError(
+            f"device: expected 'cpu', or 'cuda' with a GPU that the installed torch can use, found {device!r}"
+        )
     if device == "cuda" and precision in PRECISIONS:
         from prt_bake.network.inference.cuda import cuda_network
 
