@@ -12,7 +12,7 @@ def prepared_for(network: NetworkCore, precision: str, device: str) -> FusedNetw
 
     Raises QueryError on a precision other than "float32" and "bfloat16", and on a device that is not there.
     """
-    if device != "cpu" and not (device.split(":")[0] == "cuda" and torch.cuda.is_available()):
+    if not _is_there(device):
         raise QueryError(
             f"device: expected 'cpu', or 'cuda' with a GPU that the installed torch can use, found {device!r}"
         )
@@ -21,3 +21,10 @@ def prepared_for(network: NetworkCore, precision: str, device: str) -> FusedNetw
 
         return cuda_network(network, precision, device)
     return FusedNetwork(network, precision, device)
+
+
+def _is_there(device: str) -> bool:
+    try:
+        return torch.device(device).type != "cuda" or torch.cuda.is_available()
+    except RuntimeError:
+        return False

@@ -154,6 +154,7 @@ def test_unsupported_settings_use_fused_layers(settings: NetworkSettings, hopper
 
 def test_prepared_uses_the_kernels_on_cuda(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cuda, "cuda_network", lambda _network, precision, device: (precision, device))
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
     assert NeuralBSSRDF(PAPER).prepared("bfloat16", "cuda") == ("bfloat16", "cuda")
     assert type(NeuralBSSRDF(PAPER).prepared()) is FusedNetwork
     with pytest.raises(QueryError, match="precision must be one of"):
