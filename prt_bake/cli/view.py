@@ -152,10 +152,10 @@ def _open(baked: "Asset", options: _Options, refined: bool) -> _Opened:
     """Light the asset and shade its first picture; `refined` waits for the progressive refinement."""
     from formats.image import read_image
     from prt_bake.cli.shared.viewing import camera_for
+    from prt_bake.face.assets import warn_of_other_eye
     from prt_bake.geometry import camera
     from prt_bake.preview.lights import LightSource
     from prt_bake.preview.state import Preview
-    from prt_bake.shading.one_eye import warn_of_other_eye
 
     light = options.light
     if light is None:

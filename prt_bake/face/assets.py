@@ -1,11 +1,13 @@
-"""Checks of an asset, its light and the eye, which need no torch."""
+"""Checks of an asset, its light and the eye, which need neither torch nor kernels."""
 
 from typing import Any
 
 import numpy as np
 
 from formats import arguments
-from formats.errors import QueryError
+from formats.errors import QueryError, warn
+
+_SAME_EYE = 1e-6
 
 
 def asset(name: str, value: Any) -> Any:
@@ -41,3 +43,18 @@ def point(name: str, value: Any) -> Any:
     if array.shape == (3,) and not np.isfinite(array).all():
         raise QueryError(f"{name}: expected a point of three finite numbers, found {array.tolist()}")
     return array
+
+
+def eye_made_for(asset: Any) -> list[float] | None:
+    """The only eye [3] that an asset was made for; None if it has view bins."""
+    eye: list[float] | None = asset.provenance.get("settings", {}).get("for_eye")
+    return eye
+
+
+def warn_of_other_eye(asset: Any, eye: Any) -> None:
+    """Issue an InputWarning if the asset was made for one eye, and this point [3] is another one."""
+    made_for, point = eye_made_for(asset), np.asarray(eye, np.float64)
+    if made_for is None or point.shape != (3,):
+        return
+    if (np.abs(point - made_for) > _SAME_EYE * (1.0 + np.abs(made_for))).any():
+        warn(f"eye: the asset was made for the eye {made_for}: from other positions its colours are wrong")

@@ -5,6 +5,7 @@ reflect the sky; PyVista's colours have 8 bits. No light of the plotter reaches 
 """
 
 import math
+from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from prt_bake.preview.mirrored import ALBEDOS, Interface, directional_albedo
 from prt_bake.shading.tone_map import ToneMap
 
 
-class Shaded:
+class Shaded(ABC):
     """A mesh drawn by our shader, with one picture as its texture.
 
     Attributes:
@@ -52,9 +53,9 @@ class Shaded:
         self.actor.texture = texture
         self._uniforms.SetUniformf("halfRow", 0.5 / len(picture))
 
+    @abstractmethod
     def _write_shader(self) -> None:
         """Write the shaders anew."""
-        raise NotImplementedError
 
     def _set_vector(self, name: str, vector: NDArray[np.float64]) -> None:
         self._uniforms.SetUniform3f(name, vector.tolist())

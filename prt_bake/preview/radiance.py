@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
 from formats.asset.compact_record import CompactCoefficients
+from prt_bake.face.assets import eye_made_for
 from prt_bake.lights import environment
 from prt_bake.mathematics import sh, sphere
 from prt_bake.shading.asset_light import AssetLight
-from prt_bake.shading.one_eye import eye_made_for
 
 if TYPE_CHECKING:
     from prt_bake.shading.frames.frames import Frames

@@ -23,7 +23,7 @@ from prt_bake.shading.sun_shading import radiance_of_each_sun
 
 Array = NDArray[np.float64]
 
-_DARK = 0.3
+_DARK = 0.2
 """Radiance over its mean for all directions of the sun at which both errors are alike."""
 _ERROR = 0.77
 """Error over the difference of both: 0.47 to 1.18 on three objects, with the sun in front, at the side and behind."""

@@ -15,12 +15,12 @@ from formats.asset import Asset
 from formats.errors import QueryError, refuse_path
 from formats.image.single import single_precision
 from formats.summary import summary
+from prt_bake.face.assets import warn_of_other_eye
 from prt_bake.geometry.camera import Camera, Visibility, rays, refuse_eye_in_object
 from prt_bake.lights.lighting import Lighting, as_lighting
 from prt_bake.reflection.finish import Normals
 from prt_bake.shading.asset_light import AssetLight, prepare_light
 from prt_bake.shading.layers import make_layers
-from prt_bake.shading.one_eye import warn_of_other_eye
 from prt_bake.shading.picture_error import PictureError, view_error
 from prt_bake.shading.radiance_error import interpolate_over_faces, radiance_error
 from prt_bake.shading.sun_shading import SunTreatment

@@ -10,10 +10,10 @@ from formats.arguments import described
 from formats.asset import Asset
 from formats.errors import QueryError, refuse_path
 from formats.scene.lights import DirectionalLight
+from prt_bake.face.assets import warn_of_other_eye
 from prt_bake.geometry.camera import refuse_eye_in_object
 from prt_bake.mathematics import sh, sphere
 from prt_bake.shading.asset_light import AssetLight, as_asset_light, refuse_light_of_other_lobes
-from prt_bake.shading.one_eye import warn_of_other_eye
 from prt_bake.shading.reconstruction import reconstruct
 from prt_bake.shading.sun_shading import sun_radiance
 

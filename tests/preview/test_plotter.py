@@ -1,52 +1,43 @@
-"""The plotter's window on a display, which Xvfb gives where it is installed."""
+"""The plotter's window: its destruction from outside is noticed."""
 
-import os
-import shutil
-import subprocess
-import sys
-from collections.abc import Iterator
+import ctypes
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from prt_bake.preview.plotter import open_plotter, watching_for_destruction
 
-DESTROY = """
-import ctypes
-from prt_bake.preview.plotter import on_display, open_plotter, watching_for_destruction
-
-plotter = open_plotter(60, 40)
-plotter.show(auto_close=False, interactive=False)
-if not on_display(plotter):  # Xvfb without OpenGL
-    raise SystemExit(77)
-xlib = ctypes.CDLL("libX11.so.6")
-xlib.XOpenDisplay.restype = ctypes.c_void_p
-other = ctypes.c_void_p(xlib.XOpenDisplay(None))
-window = int(plotter.render_window.GetGenericWindowId().split("_")[1], 16)
-with watching_for_destruction(plotter) as destroyed:
-    assert not destroyed()
-    xlib.XDestroyWindow(other, ctypes.c_ulong(window))
-    xlib.XSync(other, 0)
-    assert destroyed()
-    plotter.close()
-"""
+HANDLER = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
 
 
-@pytest.fixture
-def display() -> Iterator[str]:
-    if shutil.which("Xvfb") is None:
-        pytest.skip("Xvfb is not installed")
-    with subprocess.Popen(["Xvfb", "-displayfd", "1"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as server:
-        assert server.stdout is not None
-        yield f":{server.stdout.readline().decode().strip()}"
-        server.terminate()
+class SetErrorHandler:
+    """XSetErrorHandler: takes the function that Xlib calls when a request fails, and returns the one before."""
+
+    restype: Any = None
+    argtypes: Any = None
+    current: Any = "that of Xlib"
+
+    def __call__(self, handler: Any) -> Any:
+        before, self.current = self.current, handler
+        return before
 
 
-def test_a_window_that_is_destroyed_from_outside_is_noticed(display: str) -> None:
-    run = [sys.executable, "-c", DESTROY]
-    ran = subprocess.run(run, env={**os.environ, "DISPLAY": display}, capture_output=True, text=True, check=False)
-    if ran.returncode == 77:
-        pytest.skip("the display has no OpenGL")
-    assert ran.returncode == 0, ran.stderr
+def test_a_window_that_is_destroyed_from_outside_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    xlib = SimpleNamespace(XSetErrorHandler=SetErrorHandler())
+    monkeypatch.setattr(ctypes, "CDLL", lambda _name: xlib)
+    there = [True]
+
+    def request() -> None:
+        if not there[0]:
+            ctypes.cast(xlib.XSetErrorHandler.current, HANDLER)(None, None)
+
+    window = SimpleNamespace(IsA=lambda name: name == "vtkXOpenGLRenderWindow", GetPosition=request)
+    with watching_for_destruction(SimpleNamespace(render_window=window)) as destroyed:  # type: ignore[arg-type]
+        assert not destroyed()
+        there[0] = False
+        assert destroyed()
+    assert xlib.XSetErrorHandler.current == "that of Xlib"
 
 
 def test_a_window_in_memory_is_never_destroyed() -> None:

@@ -13,7 +13,7 @@ from formats.asset.compact_record import CompactCoefficients
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake.face.assets import asset as require_asset
-from prt_bake.face.assets import light_of_vertices
+from prt_bake.face.assets import light_of_vertices, warn_of_other_eye
 from prt_bake.face.assets import point as require_point
 from prt_bake.jit.threads import using_threads
 from prt_bake.jit.vectors import laid_out
@@ -22,7 +22,6 @@ from prt_bake.shading.asset_light import AssetLight, refuse_light_of_other_lobes
 from prt_bake.shading.frames import codes, holding, kernels
 from prt_bake.shading.frames.batches import GEOMETRY, LANE, make_scratch
 from prt_bake.shading.frames.lobes import FrameLobes
-from prt_bake.shading.one_eye import warn_of_other_eye
 from prt_bake.shading.vertices import light_coefficients
 
 _FARTHEST = 1e100

@@ -110,7 +110,7 @@ def _trained(model: dict[str, Any]) -> str:
 def _criteria(rows: list[dict[str, Any]]) -> str:
     cells = []
     for row in rows:
-        result = f'<b class="result {row["verdict"].split()[0]}">{escape(row["verdict"])}</b>'
+        result = f'<b class="result {row["result"].split()[0]}">{escape(row["result"])}</b>'
         if "unit" in row:
             bound, figure = f"{row['bound']:g}", f"{row['value']:.4f} ({row['low']:.4f} to {row['high']:.4f})"
         else:

@@ -133,7 +133,7 @@ def picture_criterion(entry: dict[str, Any]) -> dict[str, Any]:
     low, high = (max(0.0, 2.0 * measured**p - doubled**p) ** (1.0 / p) for p in (1.0 / 0.35, 1.0))
     span = Interval(without, min(low, without), max(high, without))
     name = f"mean FLIP of a picture, sun {sun_text(entry)}, {SIZE}x{SIZE}, without the reference's noise"
-    return {"name": name, "unit": "FLIP", "bound": FLIP, **span.as_json(), "verdict": span.within(FLIP)}
+    return {"name": name, "unit": "FLIP", "bound": FLIP, **span.as_json(), "result": span.within(FLIP)}
 
 
 def picture_summary(entry: dict[str, Any]) -> str:

@@ -38,7 +38,7 @@ def criteria(found: dict[str, Any], scene: Scene) -> list[dict[str, Any]]:
         ),
     ]
     criteria = [
-        {"name": name, "bound": most, **figure, "verdict": Interval(**figure).within(most)}
+        {"name": name, "bound": most, **figure, "result": Interval(**figure).within(most)}
         for name, most, figure in rows
     ]
     return [*criteria, _seam_criterion(found["seams"])]
@@ -49,7 +49,7 @@ def _seam_criterion(seams: dict[str, Any]) -> dict[str, Any]:
     visible += [f"{name} (errors near it)" for name, row in seams["errors_near"].items() if row["stands_out"]]
     return {
         "name": "no visible seam or pole of spherical coordinates" + (f": {', '.join(visible)}" if visible else ""),
-        "verdict": "not met" if visible else "met",
+        "result": "not met" if visible else "met",
     }
 
 
@@ -75,10 +75,10 @@ def percent(figure: dict[str, float]) -> str:
 def criterion_line(row: dict[str, Any]) -> str:
     """A criterion as a line of text: result, name, bound and figure, in percent unless the row has a unit."""
     if "bound" not in row:
-        return f"{row['verdict']:10} {row['name']}"
+        return f"{row['result']:10} {row['name']}"
     formats = ("{:g}", "{:.4f}") if row.get("unit") else ("{:.0%}", "{:.2%}")
     bound, figure = (form.format(row[name]) for form, name in zip(formats, ("bound", "value"), strict=True))
-    return f"{row['verdict']:10} {row['name']} (at most {bound}): {figure}"
+    return f"{row['result']:10} {row['name']} (at most {bound}): {figure}"
 
 
 def sentences(found: dict[str, Any]) -> list[str]:

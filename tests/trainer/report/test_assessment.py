@@ -102,10 +102,10 @@ def test_the_error_of_a_scaled_network_is_found(ball, factor):
 
 
 def test_a_perfect_network_meets_every_criterion_and_one_with_ten_percent_error_none(ball):
-    perfect = [row["verdict"] for row in assess_function(truth, ball)["criteria"]]
+    perfect = [row["result"] for row in assess_function(truth, ball)["criteria"]]
     assert perfect == ["met"] * 6
     poor = assess_function(lambda *query: 1.1 * truth(*query), ball)["criteria"]
-    assert [row["verdict"] for row in poor] == ["not met"] * 5 + ["met"]
+    assert [row["result"] for row in poor] == ["not met"] * 5 + ["met"]
 
 
 @pytest.mark.statistics

@@ -100,7 +100,7 @@ def test_pictures_depend_on_the_seed_alone(scene, monkeypatch):
 def test_the_interval_of_flip_contains_its_value_and_decides(flip, without, expected):
     row = picture_criterion({"sun": "behind", "flip": flip * FLIP, "flip_without_noise": without * FLIP})
     assert row["low"] <= row["value"] == without * FLIP <= row["high"]
-    assert row["verdict"] == expected
+    assert row["result"] == expected
     if without < flip:
         assert row["low"] < row["value"] < row["high"] < flip * FLIP
 
@@ -110,7 +110,7 @@ def test_flip_of_noise_alone_may_be_nothing():
     doubled = 2.0**0.35
     row = picture_criterion({"sun": "behind", "flip": 1.0, "flip_without_noise": np.sqrt(2.0 - doubled**2)})
     assert row["low"] == pytest.approx(0.0, abs=1e-4)
-    assert row["verdict"] == "undecided"
+    assert row["result"] == "undecided"
 
 
 def test_a_black_object_has_no_picture(tmp_path):
