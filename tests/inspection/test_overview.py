@@ -72,8 +72,10 @@ def test_a_picture_is_a_sky_only_if_it_can_be_one(tmp_path: Path, height: int, w
 def test_lights_files_are_described_and_checked(tmp_path: Path) -> None:
     write_image(tmp_path / "sky.hdr", np.ones((8, 16, 3), np.float32))
     path = tmp_path / "lights.toml"
-    path.write_text('[[sky]]\nfile = "sky.hdr"\n[[directional]]\ndirection = [0, 1, 0]\n')
+    sphere = "[[sphere]]\nposition = [0, 9, 0]\nradius = 1\nradiance = [1, 1, 1]\n"
+    path.write_text(f'[[sky]]\nfile = "sky.hdr"\n[[directional]]\ndirection = [0, 1, 0]\n{2 * sphere}')
     lines = overview(describe(path))
+    assert lines["sphere lights"] == "2"
     assert (lines["kind"], lines["directional lights"]) == ("lights file, for --light", "1")
     assert lines["skies"] == str(tmp_path / "sky.hdr")
     assert not find_faults(path)

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+import prt_bake as prt
 from formats.asset import Asset
 from formats.errors import QueryError
 from formats.mesh import build_mesh
@@ -19,6 +20,7 @@ from prt_bake.preview.state import Mode, Preview
 from prt_bake.shading.picture import shade
 from prt_bake.shading.sun_shading import suns_apart
 from prt_bake.shading.vertices import shade_vertices
+from tests.baking.lobes.transports import MESH, Lobed
 from tests.preview.windows import bare_picture, drag, open_window, press, slide, write_sky
 from tests.shading.test_picture import make_asset, painted_sky
 from tests.shading.test_suns import lobed
@@ -65,6 +67,21 @@ def test_refined_colours_equal_shade(sky, up, rotation) -> None:
     shown = preview.colours(EYE)[:, :3]
     np.testing.assert_allclose(shown[seen], split[seen], rtol=1e-6, atol=1e-7)
     np.testing.assert_allclose(shown[~seen], plain[~seen], atol=1e-5)
+
+
+def test_an_asset_with_lobes_is_refined_in_the_dark() -> None:
+    """Lobes are drawn everywhere once their kernels are loaded, and refined to what `shade` shows."""
+    asset, sun = prt.bake(Lobed(), MESH, rings=4, sectors=16, lobes=4), "sun:0.3,1,0.2:2,2,2:0.5"
+    preview = Preview(asset, [LightSource(sun, asset.up, asset.degree)], rotation=40.0)
+    assert preview.suns_shown(EYE) == "plain"
+    preview.load()
+    assert preview.suns_shown(EYE) == "lobes"
+    light = prt.light_for(asset, prt.read_lighting(sun).turned(40.0, "y"))
+    seen, expected = facing(asset.mesh, EYE), prt.shade(asset, light, EYE)
+    assert np.abs(preview.colours(EYE)[:, :3] - expected)[seen].max() > 1e-3
+    assert preview.refine(EYE)
+    np.testing.assert_allclose(preview.colours(EYE)[:, :3][seen], expected[seen], rtol=1e-6, atol=1e-7)
+    assert preview.suns_shown(EYE) == "lobes"
 
 
 def test_all_vertices_of_an_open_mesh_are_refined(sky) -> None:
