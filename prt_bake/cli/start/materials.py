@@ -8,12 +8,11 @@ from typing import Annotated
 import typer
 
 
-def complete_material(typed: str) -> list[str]:
+def complete_material() -> list[str]:
     """Return the names of materials for a shell, with hyphens in place of what would need quotes."""
     from formats.scene.materials import materials as table
 
-    names = (re.sub(r"[\W_]+", "-", material.name) for material in table().values())
-    return [name for name in names if name.startswith(typed.lower())]
+    return [re.sub(r"[\W_]+", "-", material.name) for material in table().values()]
 
 
 def materials(
