@@ -10,7 +10,7 @@ BIN := .venv/bin
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo picture test test-statistics lint messages bench gpu shipped clean
+.PHONY: demo picture test test-statistics lint docs messages bench gpu shipped clean
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 demo: .venv/installed-evaluate,preview
@@ -32,6 +32,10 @@ lint: .venv/installed-dev
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# The documentation site: docs/build/html/index.html. Warnings are errors; nothing is fetched.
+docs: .venv/installed-dev
+	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going --doctree-dir docs/build/doctrees docs docs/build/html
 
 # Every message of an error or a warning, by file, for a reader of all of them.
 messages: .venv/installed-dev
