@@ -1,6 +1,8 @@
 """The readers in docs/reference/asset.md reproduce the self-test and the radiance of `shade`."""
 
 import re
+import shutil
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from tests.baking.prunable_scenes import Grey
 
 PAGE = (ROOT / "docs" / "reference" / "asset.md").read_text(encoding="utf-8")
 READER, SELF_TEST, UNDER_A_SKY, WITH_LOBES, _ERROR = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+PROGRAM = re.findall(r"```c\n(.*?)```", PAGE, re.DOTALL)[0]
 EYE = np.array([2.0, 1.5, -3.0])
 LIGHT = np.random.default_rng(1).normal(size=(9, 3)) + [[3.0, 2.0, 1.0]] * 9
 
@@ -86,6 +89,63 @@ def test_the_page_runs_its_self_test_and_its_sky(
     assert capsys.readouterr().out == "True\n"
     expected = prt.shade(asset, prt.project_environment(prt.read_environment("sky.hdr")), [0.0, 1.0, 4.0])
     np.testing.assert_allclose(page["colours"], expected, atol=1e-5 * expected.max())
+
+
+AROUND_THE_PROGRAM = """
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+using std::atan2, std::floor;
+struct float3 {{
+    float r, g, b;
+    float3(float v = 0) : r(v), g(v), b(v) {{}}
+    float3(float x, float y, float z) : r(x), g(y), b(z) {{}}
+}};
+float3 operator+(float3 a, float3 b) {{ return {{a.r + b.r, a.g + b.g, a.b + b.b}}; }}
+float3 operator*(float s, float3 a) {{ return {{s * a.r, s * a.g, s * a.b}}; }}
+float3 operator/(float3 a, float s) {{ return {{a.r / s, a.g / s, a.b / s}}; }}
+void operator+=(float3 &a, float3 b) {{ a = a + b; }}
+float dot(float3 a, float3 b) {{ return a.r * b.r + a.g * b.g + a.b * b.b; }}
+float3 cross(float3 a, float3 b) {{ return {{a.g * b.b - a.b * b.g, a.b * b.r - a.r * b.b, a.r * b.g - a.g * b.r}}; }}
+float clamp(float v, float low, float high) {{ return std::min(std::max(v, low), high); }}
+int min(int a, int b) {{ return std::min(a, b); }}
+float3 max(float3 a, int) {{ return a; }}  // the self-test is not clamped
+const float PI = 3.14159265f;
+const int rings = {rings}, sectors = {sectors};
+const float table[][3] = {{{table}}};
+float3 C(int b) {{ return {{table[b][0], table[b][1], table[b][2]}}; }}
+{program}
+int main() {{
+    for (float3 to_viewer : {{{views}}}) {{
+        float3 found = radiance(float3({normal}), float3({tangent}), to_viewer);
+        std::printf("%.7g %.7g %.7g\\n", found.r, found.g, found.b);
+    }}
+}}
+"""
+
+
+@pytest.mark.skipif(shutil.which("c++") is None, reason="needs a compiler of C++")
+def test_the_program_of_the_page_gives_the_self_test(tmp_path: Path) -> None:
+    asset = prt.bake(Lobed(), MESH, rings=4, sectors=8, samples=32)
+    test, vertex = asset.selftest, int(asset.selftest["vertex"][0])
+
+    def listed(values: Any) -> str:
+        return ", ".join(f"{value:.9e}f" for value in values)
+
+    source = AROUND_THE_PROGRAM.format(
+        rings=4,
+        sectors=8,
+        table=", ".join(f"{{{listed(row)}}}" for row in (asset.coefficients[vertex] * test["light"]).sum(axis=1)),
+        program=PROGRAM,
+        views=", ".join(f"float3({listed(view)})" for view in test["outgoing"]),
+        normal=listed(MESH.normals[vertex]),
+        tangent=listed(asset.tangents[vertex]),
+    )
+    (tmp_path / "program.cpp").write_text(source, encoding="utf-8")
+    subprocess.run(["c++", "-std=c++17", "-o", tmp_path / "program", tmp_path / "program.cpp"], check=True)
+    printed = subprocess.run([tmp_path / "program"], check=True, capture_output=True, text=True).stdout
+    found = np.array([line.split() for line in printed.splitlines()], np.float64)
+    np.testing.assert_allclose(found, test["radiance"], atol=1e-5 * np.abs(test["radiance"]).max())
 
 
 def test_the_reader_of_lobes_gives_the_radiance_of_shade(page: dict[str, Any], tmp_path: Path) -> None:
