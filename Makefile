@@ -10,7 +10,7 @@ BIN := .venv/bin
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo picture test test-statistics lint docs messages bench gpu shipped clean
+.PHONY: demo picture test test-statistics lint docs docs-commands messages bench gpu shipped clean
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 demo: .venv/installed-evaluate,preview
@@ -36,6 +36,10 @@ lint: .venv/installed-dev
 # The documentation site: docs/build/html/index.html. Warnings are errors; nothing is fetched.
 docs: .venv/installed-dev
 	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going --doctree-dir docs/build/doctrees docs docs/build/html
+
+# Runs the commands of the pages, each page in an empty folder: make docs-commands [PAGES="README.md docs/start/*.md"]. An hour.
+docs-commands: .venv/installed-dev
+	$(BIN)/python -m tests.documents.run $(PAGES)
 
 # Every message of an error or a warning, by file, for a reader of all of them.
 messages: .venv/installed-dev
