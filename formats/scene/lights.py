@@ -118,6 +118,8 @@ class _LightsFile(_Table):
     sky: Annotated[tuple[_SkyTable, ...], Strict(False)] = ()
 
 
+TABLES = frozenset(_LightsFile.model_fields)
+"""The tables that a lights file may have."""
 _TABLES: dict[str, type[_Table]] = {
     "": _LightsFile,
     "directional": _DirectionalTable,
