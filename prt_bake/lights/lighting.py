@@ -147,18 +147,22 @@ def read_lighting(
 ) -> Lighting:
     """Read one or several lights, all rotated by `rotate` degrees about `up`.
 
-    A light is a lat-long picture, a lights file (.toml), `sun:x,y,z[:r,g,b][:degrees]` or
-    `sphere:x,y,z:radius[:r,g,b]`. `mend` repairs bad pixels of skies, and `say` is called with warnings (see
-    `environment.open_environment`). Sphere lights become discs seen from the middle of `mesh`, the object. A sky with
-    more than `most_rows` rows and more than 512 MiB is downsampled; its harmonics to `degree` stay exact.
+    Args:
+        lights: one or several: a lat-long picture, a lights file (.toml), `sun:x,y,z[:r,g,b][:degrees]` or
+            `sphere:x,y,z:radius[:r,g,b]`.
+        up: the axis that points up, "y" or "z".
+        rotate: degrees, counter-clockwise seen from above.
+        mend: repairs bad pixels of skies (`prt_bake.read_environment`).
+        say: called with warnings.
+        mesh: the object; sphere lights become discs seen from its middle.
+        most_rows: a sky with more rows and more than 512 MiB is downsampled; None for no limit.
+        degree: harmonics of a downsampled sky stay exact to this degree.
 
     Raises LightError, ImageError or StorageError for a light that cannot be read, QueryError if `lights` is empty or a
     sphere light has no mesh.
 
-    >>> from pathlib import Path
     >>> import prt_bake as prt
-    >>> from prt_bake import shipped
-    >>> sky = Path(shipped.__file__).parent / "sky.hdr"
+    >>> sky = prt.example("sky.hdr")
     >>> lighting = prt.read_lighting([sky, "sun:0,1,0:3,2.8,2.5:0.53"], rotate=90.0)
     >>> len(lighting.skies), len(lighting.suns)
     (1, 1)
