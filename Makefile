@@ -45,7 +45,7 @@ docs-commands: .venv/installed-dev
 wheel: .venv/installed-dev
 	@test -z "$(TAG)" || grep -q '^version = "$(patsubst v%,%,$(TAG))"$$' pyproject.toml \
 		|| { echo "prtbake: $(TAG) is not the version of pyproject.toml" >&2; exit 1; }
-	rm -rf dist
+	rm -rf dist build
 	$(BIN)/python -c 'from setuptools import build_meta as b; b.build_sdist("dist"); b.build_wheel("dist")'
 
 # Every message of an error or a warning, by file, for a reader of all of them.

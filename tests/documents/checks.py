@@ -19,7 +19,8 @@ LONGEST_LINE = 150
 _FOLDERS = "prt_bake|bakers|formats|tests|scenes|notebooks|docs"
 _FILE = re.compile(rf"(?:{_FOLDERS})/[\w./-]*")
 _MODULE = re.compile(r"-m ((?:prt_bake|bakers|formats|tests|scenes)(?:\.\w+)+)")
-_PLACEHOLDER = re.compile(r"[…*<>{}]|\b[A-Z_]{3,}\b(?!\.(?:md|cff))|\bstanford_|/build\b|docs/lessons")
+_NAME = r"\b(?!README|LICENSE|CONTRIBUTING|CITATION)[A-Z_]{3,}\b"
+_PLACEHOLDER = re.compile(rf"[…*<>{{}}]|{_NAME}|\bstanford_|/build\b|docs/lessons")
 _LINK = re.compile(r"\]\(([^)\s]+)\)|(?:src|href)=\"([^\"]+)\"")
 
 

@@ -9,6 +9,7 @@ from tests.documents.checks import command_faults, file_faults, link_faults, lon
 from tests.documents.commands import name, pages
 from tests.documents.run import run_page
 
+PACKAGES = ("formats", "bakers", "prt_bake")
 PAGES = {name(page): page for page in pages()}
 RECORD = ("docs/changelog.md",)
 """Pages that tell of the past, whose names may be gone."""
@@ -61,3 +62,10 @@ def test_the_site_has_every_page() -> None:
 @pytest.mark.parametrize("page", SHOWN_FIRST)
 def test_commands_run(page: str) -> None:
     assert run_page(PAGES[page]).failures == []
+
+
+def test_the_map_of_the_code_has_every_room() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    mapped = text.partition("## Map of the code")[2].partition("\n## ")[0]
+    rooms = (path.parent for name in PACKAGES for path in (ROOT / name).rglob("__init__.py"))
+    assert [str(room.relative_to(ROOT)) for room in rooms if f"{room.name}/" not in mapped] == []
