@@ -8,12 +8,10 @@ missing or has other inputs. `--quick` makes one scene, tiny and coarse.
 """
 
 import argparse
-import json
 import os
 import time
 import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -35,20 +33,6 @@ GAP = 6
 """Pixels between two pictures of a strip."""
 
 
-@dataclass(frozen=True)
-class Quality:
-    """Size, minutes of a training, minutes of a path-traced picture or its noise, and arguments of the bakes."""
-
-    pixels: int = 192
-    training: float = 5.0
-    minutes: float = 0.75
-    noise: float = 0.04
-    bake: tuple[tuple[str, Any], ...] = (("error", 0.05), ("lobes", 4))
-
-
-QUICK = Quality(32, 0.1, 0.02, 0.5, (("samples", 18), ("rings", 4), ("sectors", 8)))
-
-
 def timed(build: Callable[[Path], object]) -> Callable[[Path], Facts]:
     """`build`, with the processor time of all threads and the size of the file as facts."""
 
@@ -63,26 +47,24 @@ def timed(build: Callable[[Path], object]) -> Callable[[Path], Facts]:
 class Subject:
     """A scene of the gallery: its model, asset and pictures, made when they are asked for."""
 
-    def __init__(self, entry: dict[str, Any], files: Artefacts, quality: Quality) -> None:
+    def __init__(self, entry: dict[str, Any], files: Artefacts, quality: dict[str, Any]) -> None:
         self.entry, self.files, self.quality, self.name = entry, files, quality, entry["name"]
         self.scene = prt.load_scene(ROOT / entry["scene"])
         self.view: View = "three-quarter-back" if entry.get("back") else "three-quarter"
-        self.camera = prt.fit_camera(self.scene.mesh, quality.pixels, quality.pixels, view=self.view, up=self.scene.up)
+        size = {"width": quality["pixels"], "height": quality["pixels"]}
+        self.camera = prt.fit_camera(self.scene.mesh, view=self.view, up=self.scene.up, **size)
 
     def model(self) -> Path:
         """The model's file; trained unless the entry names one."""
         if "model" in self.entry:
             return ROOT / str(self.entry["model"])
-        inputs = {"scene": self.scene.content_hash, "minutes": self.quality.training}
-        build = timed(lambda path: prt.train(self.scene, minutes=self.quality.training, output=path))
+        inputs = {"scene": self.scene.content_hash, "minutes": self.quality["training"]}
+        build = timed(lambda path: prt.train(self.scene, minutes=self.quality["training"], output=path))
         return self.files.make(f"{self.name}.pt", inputs, build).path
 
     def asset(self) -> tuple[prt.Asset, Facts]:
         """The asset, and the facts of its bake."""
-        model, options = (
-            self.model(),
-            {**dict(self.quality.bake), **({} if self.quality is QUICK else self.entry.get("bake", {}))},
-        )
+        model, options = self.model(), self.quality["bake"] | self.entry.get("bake", {})
 
         def bake(path: Path) -> None:
             workers = os.cpu_count() or 1
@@ -95,19 +77,12 @@ class Subject:
         """The path-traced picture with its layers, and the facts of its rendering. Unscattered light is left out."""
 
         def render(path: Path) -> None:
-            minutes, noise = self.quality.minutes, self.quality.noise
-            done = prt.render_scene(
-                self.scene, light, self.camera, None, shown="scattered", minutes=minutes, error=noise
-            )
+            ends = {"spp": None, "minutes": self.quality["minutes"], "error": self.quality["noise"]}
+            done = prt.render_scene(self.scene, light, self.camera, shown="scattered", **ends)
             prt.write_image(path, done.image, layers={"error": done.standard_error, "coverage": done.coverage})
 
-        inputs = {
-            "scene": self.scene.content_hash,
-            "light": lights[1:],
-            "sky": sha256(Path(lights[0])),
-            "view": self.view,
-        }
-        inputs |= {each: getattr(self.quality, each) for each in ("pixels", "minutes", "noise")}
+        inputs = {"scene": self.scene.content_hash, "light": lights[1:], "sky": sha256(Path(lights[0]))}
+        inputs |= {"view": self.view} | {each: self.quality[each] for each in ("pixels", "minutes", "noise")}
         made = self.files.make(f"{self.name}.{name.replace(' ', '_')}.exr", inputs, timed(render))
         return prt.read_layers(made.path), made.facts
 
@@ -134,7 +109,7 @@ class Subject:
             row |= {each: free[each].as_json() for each in ("relative_rmse", "flip")}
             figures.append(row | {"tracing": facts["processor"], "shading": seconds})
             pictures += [prt.srgb(agx(image, exposure)) for image in (layers.image, shaded.image)]
-        apart = np.full((self.quality.pixels, GAP, 3), 255, np.uint8)
+        apart = np.full((self.quality["pixels"], GAP, 3), 255, np.uint8)
         joined = np.concatenate([part for picture in pictures for part in (apart, picture)][1:], axis=1)
         Image.fromarray(joined).save(strip, quality=90, method=6)
         return {**self.entry, "vertices": len(asset.mesh.positions), "baked": bake, "pictures": figures}
@@ -167,7 +142,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=ROOT / "docs")
     args = parser.parse_args()
     settings = tomllib.loads((ROOT / "docs" / "gallery" / "gallery.toml").read_text(encoding="utf-8"))
-    files, quality = Artefacts(args.work, say), QUICK if args.quick else Quality()
+    files, quality = Artefacts(args.work, say), settings["quick" if args.quick else "quality"]
     folder, made = args.out / "gallery", []
     folder.mkdir(parents=True, exist_ok=True)
     for entry in settings["scene"][1:2] if args.quick else settings["scene"]:
@@ -175,9 +150,8 @@ def main() -> None:
         made.append(Subject(entry, files, quality).compare(settings["lights"], strip))
         write_report({"scenes": made}, folder / "figures.json")
         say(f"{strip}: written")
-    written = json.loads((folder / "figures.json").read_text(encoding="utf-8"))["scenes"]
     head = (ROOT / "docs" / "gallery" / "head.txt").read_text(encoding="utf-8")
-    (args.out / "gallery.md").write_text("\n".join([head, *map(section, written)]), encoding="utf-8")
+    (args.out / "gallery.md").write_text("\n".join([head, *map(section, made)]), encoding="utf-8")
 
 
 if __name__ == "__main__":
