@@ -10,11 +10,7 @@ BIN := $(if $(filter Windows_NT,$(OS)),.venv/Scripts,.venv/bin)
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-<<<<<<< HEAD
-.PHONY: demo picture gallery test test-statistics lint docs messages bench gpu shipped clean
-=======
-.PHONY: demo picture test test-statistics lint docs docs-commands wheel messages bench gpu shipped clean
->>>>>>> 04c00e22eeaf0d0d0394473ff4db4a2d65f73dfa
+.PHONY: demo picture gallery test test-statistics lint docs docs-commands wheel messages bench gpu shipped clean
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 demo: .venv/installed-evaluate,preview
