@@ -9,6 +9,7 @@ missing or has other inputs. `--quick` makes one scene, tiny and coarse.
 
 import argparse
 import os
+import textwrap
 import time
 import tomllib
 from collections.abc import Callable
@@ -117,9 +118,10 @@ class Subject:
 
 def section(figures: dict[str, Any]) -> str:
     """The part of the page on one scene."""
+    size = f"{figures['vertices']:,} vertices; asset of {figures['baked']['MB']:.0f} MB"
     lines = [
-        f"## {figures['title']}\n\n{figures['text']} Scene `{figures['scene']}`, {figures['vertices']:,} vertices; "
-        f"asset of {figures['baked']['MB']:.0f} MB.\n",
+        f"## {figures['title']}\n",
+        textwrap.fill(f"{figures['text']} Scene `{figures['scene']}`, {size}.", 120) + "\n",
         f"![{figures['title']}: path traced and baked, in two lights](gallery/{figures['name']}.webp)\n",
         "| light | error stated | error measured | FLIP | path tracing | shading |\n|---|---|---|---|---|---|",
     ]
