@@ -20,13 +20,11 @@ from formats.image import READABLE
 from formats.mesh import Mesh
 from formats.scene.file import errors_at
 from formats.scene.lights import (
-    SPHERE_SYNTAX,
-    SUN_SYNTAX,
+    WORDS,
     DirectionalLight,
     SkyLight,
     SphereLight,
-    parse_sphere,
-    parse_sun,
+    parse_word,
     read_lights,
 )
 from formats.summary import summary
@@ -178,9 +176,8 @@ def read_lighting(
         suns.append(sun)
 
     for light in [lights] if isinstance(lights, str | Path) else lights:
-        if str(light).startswith(("sun:", "sphere:")):
-            parse = parse_sun if str(light).startswith("sun:") else parse_sphere
-            add(parse(str(light)), f"light {light}")
+        if (word := parse_word(str(light))) is not None:
+            add(word, f"light {light}")
         elif Path(light).suffix.lower() == ".toml":
             for one in read_lights(light):
                 if isinstance(one, SkyLight):
@@ -191,7 +188,7 @@ def read_lighting(
         elif Path(light).suffix.lower() not in READABLE:
             raise LightError(
                 f"{light}: is not a light; expected a lat-long sky (.exr, .hdr, .png or .jpg), a lights file (.toml), "
-                f"{SUN_SYNTAX} or {SPHERE_SYNTAX}"
+                f"{' or '.join(syntax for syntax, _ in WORDS.values())}"
             )
         else:
             skies.append(_read_sky(SkyLight(Path(light), 0.0, 0.0, (1.0, 1.0, 1.0)), up, mend, say, most_rows, degree))
