@@ -62,6 +62,8 @@ def _shell_faults(block: Block) -> Iterator[str]:
 
 def _parsing_fault(arguments: list[str]) -> Iterator[str]:
     """Parse the arguments of `prtbake` as the command line does, without running the command."""
+    if "--install-completion" in arguments:  # parsing it would install it
+        return
     command, names, rest = _subcommand([word for word in arguments if word not in ("-v", "--verbose")])
     if hasattr(command, "commands") and rest and not rest[0].startswith("-"):
         yield f"there is no command {rest[0]}"
