@@ -1,6 +1,6 @@
 """Provenance of a bake: the entries of every method, and the errors of bakes that have nothing to report.
 
-docs/baking.md ("The report of a bake") explains all keys.
+docs/reference/bake_report.md explains all keys.
 """
 
 from typing import Any

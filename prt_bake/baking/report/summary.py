@@ -16,7 +16,9 @@ REACHED = 1.02
 
 
 def bake_report(asset: Asset) -> dict[str, Any]:
-    """The asset's provenance, all keys of it, and seven more, as plain JSON values; docs/baking.md explains every key.
+    """The asset's provenance, all keys of it, and seven more, as plain JSON values.
+
+    docs/reference/bake_report.md explains every key.
 
     `model_error`: error of the coefficients of the baked network after its training, if it is known.
     `error_reached`: whether the object and 95 % of its vertices have the requested error, if one was requested.
