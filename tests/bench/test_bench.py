@@ -1,5 +1,6 @@
 """Every benchmark starts: its imports exist and its settings are valid. The README lists all of them."""
 
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -26,6 +27,14 @@ def test_prints_its_help(script: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
 def test_the_readme_lists_every_benchmark() -> None:
     table = (BENCH / "README.md").read_text(encoding="utf-8")
     assert [path.stem for path in SCRIPTS if f"`{path.stem}`" not in table] == []
+
+
+def test_the_linked_results_show_the_benchmark() -> None:
+    table = (BENCH / "README.md").read_text(encoding="utf-8")
+    linked = re.findall(r"^\| `(\w+)`.*\]\((.+)\) \|$", table, re.MULTILINE)
+    assert len(linked) > 20
+    pages = {page: (BENCH / page).read_text(encoding="utf-8") for _, page in linked}
+    assert [name for name, page in linked if f"tests.bench.{name}" not in pages[page]] == []
 
 
 @pytest.mark.filterwarnings("ignore::formats.errors.InputWarning")

@@ -79,7 +79,7 @@ def test_cells_are_small_and_the_last_one_names_the_next_notebook(path: Path) ->
 def test_linked_files_exist(path: Path) -> None:
     prose = "\n".join(cell.source for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "markdown")
     links = [path.parent / name for name in re.findall(r"\]\(([^)]+)\)", prose)]
-    names = [ROOT / name for name in re.findall(r"\b(?:docs/\w+|README)\.md\b", prose)]
+    names = [ROOT / name for name in re.findall(r"\b(?:docs/[\w/]+|README)\.md\b", prose)]
     assert links + names
     assert [str(target) for target in links + names if not target.exists()] == []
 

@@ -10,9 +10,9 @@ LEVELS = (
     (0.20, "good for a first look"),
     (math.inf, "a rough impression"),
 )
-"""Largest relative RMSE of a_lm for each use: pictures under a sky are off by about half of it (docs/training.md)."""
+"""Largest relative RMSE of a_lm for each use: pictures under a sky are off by about half of it."""
 _EXPONENT, _LATE_EXPONENT = 0.16, 0.1
-"""The error falls as minutes to the minus this power, on the scenes of docs/training.md, first and after `_MANY`."""
+"""The error falls as minutes to the minus this power, first and after `_MANY` (docs/measurements/training.md)."""
 _MANY = 5e7
 """Walks."""
 _LITTLE = 0.95
