@@ -4,13 +4,13 @@
 PYTHON = $(shell for candidate in python3.13 python3.12 python3.11 python3; do \
 	"$$candidate" -c 'import ensurepip, sys, venv; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' \
 		2>/dev/null && echo "$$candidate" && break; done)
-BIN := .venv/bin
+BIN := $(if $(filter Windows_NT,$(OS)),.venv/Scripts,.venv/bin)
 
 # One thread of linear algebra per process: the workers of tests and bakes already use every core.
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo picture test test-statistics lint docs messages bench gpu shipped clean
+.PHONY: demo picture test test-statistics lint docs docs-commands wheel messages bench gpu shipped clean
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 demo: .venv/installed-evaluate,preview
@@ -36,6 +36,17 @@ lint: .venv/installed-dev
 # The documentation site: docs/build/html/index.html. Warnings are errors; nothing is fetched.
 docs: .venv/installed-dev
 	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going --doctree-dir docs/build/doctrees docs docs/build/html
+
+# Runs the commands of the pages, each page in an empty folder: make docs-commands [PAGES="README.md docs/start/*.md"]. An hour.
+docs-commands: .venv/installed-dev
+	$(BIN)/python -m tests.documents.run $(PAGES)
+
+# The source distribution and the wheel of a release in dist/. With TAG=v1.2.3 the version must be 1.2.3.
+wheel: .venv/installed-dev
+	@test -z "$(TAG)" || grep -q '^version = "$(patsubst v%,%,$(TAG))"$$' pyproject.toml \
+		|| { echo "prtbake: $(TAG) is not the version of pyproject.toml" >&2; exit 1; }
+	rm -rf dist build
+	$(BIN)/python -c 'from setuptools import build_meta as b; b.build_sdist("dist"); b.build_wheel("dist")'
 
 # Every message of an error or a warning, by file, for a reader of all of them.
 messages: .venv/installed-dev
@@ -81,7 +92,7 @@ shipped: .venv/installed-evaluate
 		-o prt_bake/shipped/reference.exr --view three-quarter-back --size 256x256 --spp 2048 --report prt_bake/shipped/reference.json
 
 clean:
-	rm -rf .venv demo bench
+	rm -rf .venv demo bench build dist docs/build
 
 # Triton interprets GPU kernels in tests on machines without a GPU. It has a separate folder: a process cannot use both its
 # LLVM and that of OpenGL, and torch loads Triton wherever it finds it.

@@ -4,15 +4,14 @@ Pages are MyST Markdown. Two parts are made at every build: the reference of all
 and the lessons, which are the notebooks with their stored outputs.
 """
 
-import re
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 from sphinx.application import Sphinx
 
 HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))  # for the two modules beside this file
 
 project = "prtbake"
 author = "the prtbake authors"
@@ -31,13 +30,23 @@ nitpick_ignore_regex = [("py:.*", r".*")]  # types of other libraries have no pa
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # docstrings state shapes and units, which types do not
 napoleon_use_rtype = False
+add_module_names = False
+toc_object_entries_show_parents = "hide"
+
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+copybutton_prompt_text = r">>> |\.\.\. "
+copybutton_prompt_is_regexp = True
+copybutton_selector = "div:not(.highlight-text) > div.highlight > pre"
 
 
 def write_commands() -> None:
-    """Write the page of all commands and options from their `--help`."""
-    page = HERE / "reference" / "commands.md"
-    arguments = ["prt_bake.cli.main", "utils", "docs", "--name", "prtbake", "--title", "Commands"]
-    subprocess.run([sys.executable, "-m", "typer", *arguments, "--output", str(page)], check=True, capture_output=True)
+    """Write the page of all commands and options, unless it is as it should be, so that it is not read again."""
+    from commands_page import commands_page
+
+    page, text = HERE / "reference" / "commands.md", commands_page()
+    if not page.is_file() or page.read_text(encoding="utf-8") != text:
+        page.write_text(text, encoding="utf-8")
 
 
 def copy_lessons() -> None:
@@ -49,14 +58,10 @@ def copy_lessons() -> None:
         shutil.copy(notebook, lessons)
 
 
-def as_restructured_text(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """Mark code in docstrings, which are plain text with `names` and indented formulae, as Sphinx expects it."""
-    text = re.sub(r"(?<![:`])`([^`\n]+)`(?!`)", r"``\1``", "\n".join(lines))
-    lines[:] = re.sub(r":(\n\n    (?!>>>))", r"::\1", text).split("\n")
-
-
 def setup(app: Sphinx) -> None:
     """Make the generated pages, and read docstrings."""
     write_commands()
     copy_lessons()
-    app.connect("autodoc-process-docstring", as_restructured_text)
+    import docstrings
+
+    docstrings.connect(app)

@@ -69,12 +69,12 @@ def read_layers(path: str | os.PathLike[str]) -> Layers:
     An `.exr` of `prtbake render` has the layers `error` [H,W,3], one sigma, and `coverage` [H,W], the fraction of the
     pixel that the object covers. The alpha of `.exr` and `.png` is the layer `A` [H,W].
 
-    >>> from pathlib import Path
     >>> import prt_bake as prt
-    >>> from prt_bake import shipped
-    >>> read = prt.read_layers(Path(shipped.__file__).parent / "reference.exr")
-    >>> read.image.shape, {name: layer.shape for name, layer in read.layers.items()}, read.attributes["prtbake.spp"]
-    ((256, 256, 3), {'error': (256, 256, 3), 'coverage': (256, 256)}, '2048')
+    >>> read = prt.read_layers(prt.example("reference.exr"))
+    >>> read.image.shape, read.attributes["prtbake.spp"]
+    ((256, 256, 3), '2048')
+    >>> {name: layer.shape for name, layer in read.layers.items()}
+    {'error': (256, 256, 3), 'coverage': (256, 256)}
     """
     suffix = _suffix(path, "read", READABLE)
     if suffix == ".exr":

@@ -55,10 +55,8 @@ def read_mesh(path: str | os.PathLike[str], *, drop_flat_faces: bool = False) ->
             faces without area between others, polygons that cross themselves (the message has the first).
         StorageError: the file is missing or cannot be opened.
 
-    >>> from pathlib import Path
     >>> import prt_bake as prt
-    >>> from prt_bake import shipped
-    >>> mesh = prt.read_mesh(Path(shipped.__file__).parent / "spot.obj")
+    >>> mesh = prt.read_mesh(prt.example("spot.obj"))
     >>> mesh.positions.shape, mesh.faces.shape
     ((2930, 3), (5856, 3))
     """

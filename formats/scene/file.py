@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from formats.errors import PrtbakeError, SceneError
 from formats.file_names import named_file
+from formats.scene.lights import TABLES
 from formats.scene.schema import InsideTable, InterfaceTable, MediumTable, MixTable, ObjectTable, SceneFile, Table
 from formats.scene.toml import read_toml
 
@@ -79,7 +80,7 @@ def find_table_faults(path: Path) -> list[str]:
 
 def _read_tables(path: Path) -> dict[str, Any]:
     tables = read_toml(path, SceneError, "a scene file")
-    if "object" not in tables and ("directional" in tables or "sky" in tables):
+    if "object" not in tables and tables.keys() & TABLES:
         raise SceneError(
             f"{path}: is a lights file; expected a scene, with [object]; a lights file is the light of a picture"
         )

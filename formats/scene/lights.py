@@ -6,6 +6,7 @@
 import difflib
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -117,6 +118,8 @@ class _LightsFile(_Table):
     sky: Annotated[tuple[_SkyTable, ...], Strict(False)] = ()
 
 
+TABLES = frozenset(_LightsFile.model_fields)
+"""The tables that a lights file may have."""
 _TABLES: dict[str, type[_Table]] = {
     "": _LightsFile,
     "directional": _DirectionalTable,
@@ -188,6 +191,23 @@ def parse_sphere(text: str) -> SphereLight:
     if not all(0 <= value <= _BRIGHTEST for value in radiance):
         raise LightError(f"light {text}: radiance: expected {_EXPECTED['radiance']}, found {radiance}")
     return SphereLight(np.array(position), radius, np.array(radiance))
+
+
+WORDS: dict[str, tuple[str, Callable[[str], DirectionalLight | SphereLight]]] = {
+    "sun:": (SUN_SYNTAX, parse_sun),
+    "sphere:": (SPHERE_SYNTAX, parse_sphere),
+}
+"""Lights in one word: how the word begins, its syntax, and the function that parses it."""
+
+
+def parse_word(text: str) -> DirectionalLight | SphereLight | None:
+    """Parse a light in one word, or return None for the name of a file.
+
+    Raises:
+        LightError: another syntax, or a value out of range.
+    """
+    parse = next((parse for start, (_, parse) in WORDS.items() if text.startswith(start)), None)
+    return None if parse is None else parse(text)
 
 
 def _numbers(text: str) -> list[list[float]]:

@@ -36,10 +36,8 @@ class Scene:
         parts: the outermost first, then the others in file order.
         content_hash: SHA-256 of everything that affects the transport: meshes, nesting, interfaces, textures, media.
 
-    >>> from pathlib import Path
     >>> import prt_bake as prt
-    >>> from prt_bake import shipped
-    >>> scene = prt.load_scene(Path(shipped.__file__).parent / "spot.toml")
+    >>> scene = prt.load_scene(prt.example("spot.toml"))
     >>> isinstance(scene, prt.Scene), scene.unit, scene.roughness, len(scene.parts)
     (True, 'dm', 0.3, 1)
     """
@@ -121,10 +119,8 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
         MeshError, ImageError: a mesh or texture is damaged.
         StorageError: a file is missing.
 
-    >>> from pathlib import Path
     >>> import prt_bake as prt
-    >>> from prt_bake import shipped
-    >>> scene = prt.load_scene(Path(shipped.__file__).parent / "spot.toml")
+    >>> scene = prt.load_scene(prt.example("spot.toml"))
     >>> scene.eta, scene.mesh.faces.shape, scene.sigma_t.shape, scene.albedo.shape
     (1.3, (5856, 3), (36, 36, 20), (36, 36, 20, 3))
     """

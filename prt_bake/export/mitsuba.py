@@ -63,8 +63,7 @@ def mitsuba_dictionary(
     Example:
         >>> import tempfile
         >>> import prt_bake as prt
-        >>> from prt_bake.shipped.demonstration import SHIPPED
-        >>> scene = prt.load_scene(SHIPPED / "spot.toml")
+        >>> scene = prt.load_scene(prt.example("spot.toml"))
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     world = prt.mitsuba_dictionary(scene, folder)
         >>> world["shape_0"]["bsdf"]["type"], world["medium_0"]["type"]

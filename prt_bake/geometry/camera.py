@@ -42,10 +42,13 @@ _CONTACT = 1e-4
 class Camera:
     """A camera in object space.
 
-    eye, target: points [3] in scene units. up: direction [3], normalised; a view straight along it uses another one.
-    fov: vertical field of view in degrees. width, height: in pixels, which are square. extent: scene units from the
-    lower to the upper edge of an orthographic picture, whose rays are parallel and start in the plane through the eye;
-    None for a perspective camera.
+    Args:
+        eye, target: points [3] in scene units.
+        up: direction [3], normalised; a view straight along it uses another one.
+        fov: vertical field of view in degrees.
+        width, height: in pixels, which are square.
+        extent: scene units from the lower to the upper edge of an orthographic picture, whose rays are parallel and
+            start in the plane through the eye; None for a perspective camera.
 
     Raises QueryError for values that define no picture, and for more than 2^28 pixels.
 

@@ -11,6 +11,7 @@ from typing import Any
 from formats import image, mesh
 from formats.atomic import existing
 from formats.errors import FormatError, PrtbakeError
+from formats.scene.lights import TABLES
 
 SUFFIXES = {
     "mesh": mesh.READABLE,
@@ -92,7 +93,7 @@ def kind_of_toml(path: str | Path) -> str | None:
         tables = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
     except (OSError, ValueError, RecursionError):
         return None
-    return "scene" if "object" in tables else "lights" if tables.keys() & {"sky", "directional", "sphere"} else None
+    return "scene" if "object" in tables else "lights" if tables.keys() & TABLES else None
 
 
 def _is_samples(path: str | Path) -> bool:

@@ -129,16 +129,17 @@ def read_environment(
 ) -> NDArray[np.float32]:
     """Read a lat-long picture: radiance, float32 [H, W, 3], finite and not negative.
 
-    Negative values that are tiny beside the median become 0, which `say` is called with, and those of colours outside
-    Rec.709, with a warning.
-    `mend` repairs bad pixels: NaN, negative values and −∞ become 0, +∞ becomes the largest finite value of the picture
-    (0 if there is none). `say` is called with the changes. Without `mend` bad pixels raise ImageError. Raises as
-    `open_environment` and `formats.image.read_image`.
+    Args:
+        path: the picture, `.exr`, `.hdr`, `.png` or `.jpg`.
+        mend: repairs bad pixels: NaN, negative values and −∞ become 0, +∞ becomes the largest finite value of the
+            picture (0 if there is none). Without it bad pixels raise ImageError.
+        say: called with the changes.
 
-    >>> from pathlib import Path
+    Negative values that are tiny beside the median become 0, which `say` is called with, and those of colours outside
+    Rec.709, with a warning. Raises as `open_environment` and `formats.image.read_image`.
+
     >>> import prt_bake as prt
-    >>> from prt_bake import shipped
-    >>> prt.read_environment(Path(shipped.__file__).parent / "sky.hdr").shape
+    >>> prt.read_environment(prt.example("sky.hdr")).shape
     (256, 512, 3)
     """
     return open_environment(path, mend, say, clip=True).read()

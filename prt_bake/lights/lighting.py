@@ -20,13 +20,11 @@ from formats.image import READABLE
 from formats.mesh import Mesh
 from formats.scene.file import errors_at
 from formats.scene.lights import (
-    SPHERE_SYNTAX,
-    SUN_SYNTAX,
+    WORDS,
     DirectionalLight,
     SkyLight,
     SphereLight,
-    parse_sphere,
-    parse_sun,
+    parse_word,
     read_lights,
 )
 from formats.summary import summary
@@ -149,18 +147,22 @@ def read_lighting(
 ) -> Lighting:
     """Read one or several lights, all rotated by `rotate` degrees about `up`.
 
-    A light is a lat-long picture, a lights file (.toml), `sun:x,y,z[:r,g,b][:degrees]` or
-    `sphere:x,y,z:radius[:r,g,b]`. `mend` repairs bad pixels of skies, and `say` is called with warnings (see
-    `environment.open_environment`). Sphere lights become discs seen from the middle of `mesh`, the object. A sky with
-    more than `most_rows` rows and more than 512 MiB is downsampled; its harmonics to `degree` stay exact.
+    Args:
+        lights: one or several: a lat-long picture, a lights file (.toml), `sun:x,y,z[:r,g,b][:degrees]` or
+            `sphere:x,y,z:radius[:r,g,b]`.
+        up: the axis that points up, "y" or "z".
+        rotate: degrees, counter-clockwise seen from above.
+        mend: repairs bad pixels of skies (`prt_bake.read_environment`).
+        say: called with warnings.
+        mesh: the object; sphere lights become discs seen from its middle.
+        most_rows: a sky with more rows and more than 512 MiB is downsampled; None for no limit.
+        degree: harmonics of a downsampled sky stay exact to this degree.
 
     Raises LightError, ImageError or StorageError for a light that cannot be read, QueryError if `lights` is empty or a
     sphere light has no mesh.
 
-    >>> from pathlib import Path
     >>> import prt_bake as prt
-    >>> from prt_bake import shipped
-    >>> sky = Path(shipped.__file__).parent / "sky.hdr"
+    >>> sky = prt.example("sky.hdr")
     >>> lighting = prt.read_lighting([sky, "sun:0,1,0:3,2.8,2.5:0.53"], rotate=90.0)
     >>> len(lighting.skies), len(lighting.suns)
     (1, 1)
@@ -174,9 +176,8 @@ def read_lighting(
         suns.append(sun)
 
     for light in [lights] if isinstance(lights, str | Path) else lights:
-        if str(light).startswith(("sun:", "sphere:")):
-            parse = parse_sun if str(light).startswith("sun:") else parse_sphere
-            add(parse(str(light)), f"light {light}")
+        if (word := parse_word(str(light))) is not None:
+            add(word, f"light {light}")
         elif Path(light).suffix.lower() == ".toml":
             for one in read_lights(light):
                 if isinstance(one, SkyLight):
@@ -187,7 +188,7 @@ def read_lighting(
         elif Path(light).suffix.lower() not in READABLE:
             raise LightError(
                 f"{light}: is not a light; expected a lat-long sky (.exr, .hdr, .png or .jpg), a lights file (.toml), "
-                f"{SUN_SYNTAX} or {SPHERE_SYNTAX}"
+                f"{' or '.join(syntax for syntax, _ in WORDS.values())}"
             )
         else:
             skies.append(_read_sky(SkyLight(Path(light), 0.0, 0.0, (1.0, 1.0, 1.0)), up, mend, say, most_rows, degree))

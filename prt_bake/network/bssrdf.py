@@ -144,18 +144,18 @@ def _smallest(tensor: Tensor) -> Tensor:
 def load_model(path: str | Path, device: str = "cpu", *, mesh: Mesh | None = None) -> NeuralBSSRDF:
     """The network that `save_model` wrote, ready to evaluate on `device`.
 
-    mesh: the object's mesh, from which the network takes its normals (`NeuralBSSRDF.on`). Bakes, renders and reports
-    give it theirs; whoever evaluates the network alone gives it here, or the first evaluation warns.
+    Args:
+        path: the file, `.pt` or `.safetensors`.
+        device: "cpu" or "cuda".
+        mesh: the object's mesh, from which the network takes its normals (`NeuralBSSRDF.on`). Bakes, renders and
+            reports give it theirs; whoever evaluates the network alone gives it here, or the first evaluation warns.
 
     The file cannot run code: only plain tensors and JSON are accepted. Raises ModelError naming the file and the tensor
     or key at fault, QueryError if most vertices of the mesh are off the surface that the network was trained on.
 
-    >>> from pathlib import Path
     >>> import prt_bake as prt
-    >>> from prt_bake import shipped
-    >>> folder = Path(shipped.__file__).parent
-    >>> mesh = prt.read_mesh(folder / "spot.obj")
-    >>> network = prt.load_model(folder / "spot.pt", mesh=mesh)
+    >>> mesh = prt.read_mesh(prt.example("spot.obj"))
+    >>> network = prt.load_model(prt.example("spot.pt"), mesh=mesh)
     >>> network.settings.layers, network.settings.width
     (5, 128)
     >>> network.evaluate([[0.0, 1.0, 0.0]], mesh.positions[:2], mesh.normals[:2]).shape  # ωi, x, ωo

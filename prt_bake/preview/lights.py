@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from formats.asset import Asset
 from formats.errors import PrtbakeError
 from formats.mesh import Mesh
-from formats.scene.lights import SkyLight, read_lights
+from formats.scene.lights import WORDS, SkyLight, read_lights
 from prt_bake.lights import environment
 from prt_bake.lights.harmonics import project_lighting
 from prt_bake.lights.lighting import Lighting, read_lighting
@@ -22,7 +22,6 @@ from prt_bake.shading.sun_shading import SunTreatment
 _MOST_ROWS = 2048
 _ROWS_OF_DISCS = 512
 """Fewest rows of a background picture that combines several lights."""
-_NOT_FILES = ("sun:", "sphere:")
 
 Stamp = tuple[tuple[str, int, int], ...]
 
@@ -67,7 +66,7 @@ class LightSource:
         self._texts = [light] if isinstance(light, str) else [] if isinstance(light, Lighting) else list(light)
         self._up, self._degree = up, degree
         self._mend, self._say, self._mesh = mend, say, mesh
-        self.name = " + ".join(text if text.startswith(_NOT_FILES) else Path(text).name for text in self._texts)
+        self.name = " + ".join(text if text.startswith(tuple(WORDS)) else Path(text).name for text in self._texts)
         self._stamp = self._stamps()
         self.shown = self._read()
 
@@ -99,7 +98,7 @@ class LightSource:
 
     def _files(self) -> Iterator[Path]:
         for text in self._texts:
-            if text.startswith(_NOT_FILES):
+            if text.startswith(tuple(WORDS)):
                 continue
             yield Path(text)
             if text.lower().endswith(".toml"):

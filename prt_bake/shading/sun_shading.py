@@ -42,8 +42,11 @@ _BYTES_AT_ONCE = 64 << 20
 class SunsApart:
     """A lighting divided for an asset.
 
-    harmonics [K,3]: the light to shade by harmonics. suns: to shade separately. whole [K,3]: harmonics of all the
-    light, undamped. found: the number of suns, for every treatment.
+    Attributes:
+        harmonics: [K,3], the light to shade by harmonics.
+        suns: to shade separately.
+        whole: [K,3], harmonics of all the light, undamped.
+        found: the number of suns, for every treatment.
     """
 
     harmonics: Array

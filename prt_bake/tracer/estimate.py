@@ -164,8 +164,14 @@ def estimate_coefficients(
 ) -> Estimate:
     """Estimate a_lm(x, ωo) = ∫ Ŝ Y_lm dωi [N,K,3] = E[throughput · Y_lm(exit)] from walks' exits, for any interface.
 
-    K = (degree + 1)², in the order of `prt_bake.sh`. `keys` [N] replace the indices of the queries in the choice of
-    random numbers. device: "cuda" traces the walks on a GPU, the same ones up to rounding.
+    Args:
+        scene: the scene.
+        positions, outgoing: [N,3], points on the surface and unit directions to the eye.
+        degree: of the harmonics, K = (degree + 1)², in the order of `prt_bake.sh`.
+        paths: walks per query.
+        seed: of the random numbers, which depend on it, the index of the query and the path alone.
+        keys: [N], replace the indices of the queries in the choice of random numbers.
+        device: "cuda" traces the walks on a GPU, the same ones up to rounding.
 
     Raises QueryError as `estimate_transport`, except for smooth interfaces, and for a GPU that cannot be used.
 

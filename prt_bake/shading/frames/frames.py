@@ -41,8 +41,9 @@ class Frames:
     of geometry: position relative to the centre of the bounding box, normal and tangent as float32. Directions are
     computed in float64, sums in float32.
 
-    clamped: of the last frame, Σ of the negative radiance that was clamped to 0 / Σ of the radiance, over vertices and
-    channels.
+    Attributes:
+        clamped: of the last frame, Σ of the negative radiance that was clamped to 0 / Σ of the radiance, over vertices
+            and channels.
 
     >>> import prt_bake as prt
     >>> asset = prt.read_asset("spot.h5")
@@ -95,8 +96,9 @@ class Frames:
     def light(self, light: AssetLight | ArrayLike | None) -> None:
         """Set the light of the next frames.
 
-        light: from `prt_bake.light_for`, whose lobes are shown and whose suns are not shaded apart; or coefficients
-        [K,3] of the asset's degree; None for an asset made for one light.
+        Args:
+            light: from `prt_bake.light_for`, whose lobes are shown and whose suns are not shaded apart; or coefficients
+                [K,3] of the asset's degree; None for an asset made for one light.
 
         Undoes `fold`. Raises QueryError for another shape, and for numbers that float32 cannot represent.
         """
@@ -176,8 +178,12 @@ class Frames:
     ) -> NDArray[np.float32]:
         """Radiance [V,3] towards the eye, a point [3] in object space, as `prt_bake.shade`, clamped to at least 0.
 
-        visible [V]: the vertices to draw; the others and invalid ones are 0. `cull` leaves out vertices whose faces all
-        turn away from the eye; they are never visible on a closed object. Every call returns the same array.
+        Args:
+            eye: a point [3] in object space.
+            visible: [V], the vertices to draw; the others and invalid ones are 0.
+            cull: leaves out vertices whose faces all turn away from the eye; they are never visible on a closed object.
+
+        Every call returns the same array.
 
         Raises QueryError for a mask of another shape or type, for an eye that is not a finite point, and if no light
         was set. An eye inside the object is not detected: directions below the horizon are clamped to it, and an eye on

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from typing import Any
 
 import h5py
 import numpy as np
@@ -13,6 +14,7 @@ from formats.asset import Asset, check_asset, read_asset, write_asset
 from formats.asset.compact_file import digit_planes, join_sparse, round_up, to_sparse
 from formats.asset.compact_record import AddedError, CompactCoefficients, FactorisedViews, LearnedViews
 from formats.errors import AssetError
+from tests import ROOT
 from tests.formats.asset.test_asset import assert_same, make_asset, make_covariance
 from tests.formats.asset.test_faults import changed, put
 
@@ -135,28 +137,23 @@ def test_standard_errors_are_never_rounded_down() -> None:
 
 @pytest.mark.parametrize("learned", [True, False])
 def test_plain_h5py_decodes_it_as_documented(tmp_path, learned) -> None:
-    """The reader of docs/compression.md."""
+    """The reader in docs/reference/compact_asset.md."""
+    text = (ROOT / "docs" / "reference" / "compact_asset.md").read_text(encoding="utf-8")
+    reader = next(code for code in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "def decoded" in code)
+    page: dict[str, Any] = {}
+    exec(reader, page)
     asset = compact_asset(learned=learned, largest=40_000)
     write_asset(asset, tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5") as file:
         assert file.attrs["format_version"] == "1.0"
         assert "transfer" not in file
         group = file["transfer_compact"]
-
-        def integers(name):
-            return sum(256**d * group[f"{name}_{d}"][...].astype(int) for d in range(4) if f"{name}_{d}" in group)
-
-        codes = integers("digits")
-        if "view_scale" in group:
-            view = group["view_scale"][...].astype(float)[:, None] * integers("view_digits")
-        else:
-            view = np.kron(group["ring_basis"][...].astype(float), group["sector_basis"][...].astype(float))
-        views = view[group["view_component"][...]]
-        channels = group["channel_basis"][...][group["channel_component"][...]]
-        decoded = group.attrs["step"] * np.einsum("pv,pb,pkc->vbkc", codes, views, channels)
         for name in group:
             assert group[name].compression in ("gzip", None)
             assert group[name].dtype.str[0] in "<|"
+        for name in [*group, *group.attrs]:
+            assert re.search(rf"`{re.sub('[0-9]+$', '[0-9…]', name)}", text), name
+    decoded = page["decoded"](tmp_path / "a.h5")
     scale = abs(decoded).max()
     np.testing.assert_allclose(asset.coefficients[:], decoded, rtol=0, atol=1e-6 * scale)
 

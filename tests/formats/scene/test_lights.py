@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from formats.errors import LightError, StorageError
-from formats.scene.lights import DirectionalLight, SkyLight, parse_sun, read_lights
+from formats.scene.lights import DirectionalLight, SkyLight, parse_sun, parse_word, read_lights
 
 
 def test_a_file_with_every_kind_of_light_is_read(tmp_path):
@@ -111,3 +111,8 @@ def test_a_byte_order_mark_changes_nothing_and_other_encodings_are_named(tmp_pat
     (tmp_path / "a.toml").write_bytes(text.encode("utf-16"))
     with pytest.raises(LightError, match=r"a\.toml: expected text in UTF-8, found UTF-16"):
         read_lights(tmp_path / "a.toml")
+
+
+def test_a_word_that_names_a_file_is_no_light():
+    assert parse_word("sky.exr") is None
+    assert isinstance(parse_word("sun:0,1,0"), DirectionalLight)

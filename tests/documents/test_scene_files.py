@@ -1,4 +1,4 @@
-"""The documentation of scene files agrees with their schema."""
+"""docs/reference/scene_files.md agrees with the schema of scene files."""
 
 import re
 import tomllib
@@ -9,7 +9,7 @@ import pytest
 from formats.scene.schema import InsideTable, InterfaceTable, MediumTable, MixTable, ObjectTable, SceneFile
 from tests import ROOT
 
-TEXT = (ROOT / "docs" / "scene_files.md").read_text(encoding="utf-8")
+TEXT = (ROOT / "docs" / "reference" / "scene_files.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"```toml\n(.*?)```", TEXT, re.DOTALL)
 COMPLETE = tomllib.loads(EXAMPLES[0])
 

@@ -1,0 +1,71 @@
+"""Every page: its commands and names exist, its links lead somewhere, its lines are short."""
+
+from pathlib import Path
+
+import pytest
+
+from tests import ROOT
+from tests.documents.checks import command_faults, file_faults, link_faults, long_lines, python_faults
+from tests.documents.commands import name, pages
+from tests.documents.run import run_page
+
+PACKAGES = ("formats", "bakers", "prt_bake")
+PAGES = {name(page): page for page in pages()}
+RECORD = ("docs/changelog.md",)
+"""Pages that tell of the past, whose names may be gone."""
+LIVING = {page: path for page, path in PAGES.items() if page not in RECORD}
+LINKED = {page: path for page, path in PAGES.items() if not page.startswith("docs/")}
+"""Sphinx checks the links of the site."""
+SHOWN_FIRST = [page for page in PAGES if page == "README.md" or page.startswith("docs/start/")]
+
+
+@pytest.mark.parametrize("page", LIVING)
+def test_commands_exist(page: str) -> None:
+    assert command_faults(LIVING[page].read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize("page", LIVING)
+def test_python_is_valid(page: str) -> None:
+    assert python_faults(LIVING[page].read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize("page", LIVING)
+def test_named_files_exist(page: str) -> None:
+    assert file_faults(LIVING[page].read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize("page", LINKED)
+def test_links_lead_somewhere(page: str) -> None:
+    assert link_faults(LINKED[page]) == []
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_lines_are_short(page: str) -> None:
+    assert long_lines(PAGES[page].read_text(encoding="utf-8")) == []
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
+
+
+def test_the_site_has_every_page() -> None:
+    contents = (ROOT / "docs/index.md").read_text(encoding="utf-8").split()
+    site = [
+        path.relative_to(ROOT / "docs").with_suffix("").as_posix()
+        for path in map(Path, PAGES.values())
+        if (ROOT / "docs") in path.parents
+    ]
+    assert [page for page in site if page not in contents] == ["index"]
+
+
+@pytest.mark.statistics
+@pytest.mark.parametrize("page", SHOWN_FIRST)
+def test_commands_run(page: str) -> None:
+    assert run_page(PAGES[page]).failures == []
+
+
+def test_the_map_of_the_code_has_every_room() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    mapped = text.partition("## Map of the code")[2].partition("\n## ")[0]
+    rooms = (path.parent for name in PACKAGES for path in (ROOT / name).rglob("__init__.py"))
+    assert [str(room.relative_to(ROOT)) for room in rooms if f"{room.name}/" not in mapped] == []
