@@ -18,7 +18,7 @@ demo: .venv/installed-evaluate,preview
 
 picture: .venv/installed-evaluate
 	$(BIN)/prtbake demo --out demo/picture --quality fine
-	cp demo/picture/spot.png demo/picture/comparison.png docs/
+	cp demo/picture/spot.png demo/picture/comparison.png docs/pictures/
 
 test: .venv/installed-dev .venv/apart/installed
 	$(PYTEST) -m "not statistics"
