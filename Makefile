@@ -10,7 +10,7 @@ BIN := $(if $(filter Windows_NT,$(OS)),.venv/Scripts,.venv/bin)
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo picture test test-statistics lint docs docs-commands wheel messages bench gpu shipped clean
+.PHONY: demo picture gallery test test-statistics lint docs docs-commands wheel messages bench gpu shipped clean
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 demo: .venv/installed-evaluate,preview
@@ -19,6 +19,10 @@ demo: .venv/installed-evaluate,preview
 picture: .venv/installed-evaluate
 	$(BIN)/prtbake demo --out demo/picture --quality fine
 	cp demo/picture/spot.png demo/picture/comparison.png docs/pictures/
+
+# docs/gallery.md and its pictures, in about half an hour on two cores. It resumes; bench/gallery holds assets and references.
+gallery: .venv/installed-evaluate
+	$(BIN)/python docs/make_gallery.py
 
 test: .venv/installed-dev .venv/apart/installed
 	$(PYTEST) -m "not statistics"

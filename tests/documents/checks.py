@@ -111,7 +111,8 @@ def _all_options() -> set[str]:
         command = commands.pop()
         found |= _options(command)
         commands += getattr(command, "commands", {}).values()
-    return found
+    benchmarks = [path.read_text(encoding="utf-8") for path in (ROOT / "tests" / "bench").glob("*.py")]
+    return found | set(re.findall(r'add_argument\("(--[a-z-]+)"', "\n".join(benchmarks)))
 
 
 def _target_faults(words: list[str]) -> Iterator[str]:

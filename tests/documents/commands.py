@@ -13,8 +13,8 @@ from typing import NamedTuple
 from tests import ROOT
 
 PAGES = ("README.md", "CONTRIBUTING.md", "docs/**/*.md", "scenes/**/README.md", "notebooks/*.md", "tests/bench/*.md")
-NOT_PAGES = ("docs/old/", "docs/build/", "docs/lessons/", "docs/reference/commands.md")
-"""Pages that a build makes, and old ones."""
+NOT_PAGES = ("docs/build/", "docs/lessons/", "docs/reference/commands.md")
+"""Pages that a build makes."""
 _FENCE = re.compile(r" *(`{3,})(\S*)")
 _NOT_RUN = re.compile(r" *<!-- not run: (.+) -->$")
 _HIDDEN = re.compile(r" *<!-- run: (.+) -->$")
