@@ -51,7 +51,7 @@ def make(
         typer.Option(
             callback=_enough,
             help="Time of all runs in the folder together, 2 or more; by default 20, or what the folder has. With "
-            "twice as much the training goes on; a little more is for what was left out.",
+            "twice as much the training goes on; with less, what was left out is made.",
             show_default=False,
         ),
     ] = None,
@@ -72,7 +72,7 @@ def make(
 ) -> None:
     """Train, bake and picture an object, within a given time.
 
-    For example: prtbake make skull.glb -o skull --material jade --size 14cm
+    For example: `prtbake make skull.glb -o skull --material jade --size 14cm`
 
     Writes the model with its report, the asset, a smaller one, a picture, a turntable, and a summary with the errors
     and the commands. The same command continues after a stop; finished steps are not done again.
