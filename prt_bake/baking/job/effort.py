@@ -60,7 +60,8 @@ def _goal(error: float | None, minutes: float | None) -> str:
     if error is not None:
         goals.append(f"to {100.0 * error:g} % error")
     if minutes is not None:
-        until = "until it is stopped" if math.isinf(minutes) else f"{minutes:g} {'minute' if minutes == 1 else 'minutes'}"
+        unit = "minute" if minutes == 1.0 else "minutes"
+        until = "until it is stopped" if math.isinf(minutes) else f"{minutes:g} {unit}"
         least = "" if math.isinf(minutes) else "for at most " if error is not None else "for "
         goals.append(least + until)
     return ", ".join(goals)
