@@ -54,8 +54,9 @@ def view(
         typer.Option(
             "--light",
             metavar="LIGHT",
-            help="Lat-long sky, lights file (.toml), sun:x,y,z or sphere:x,y,z:radius, as for `prtbake shade`; by default "
-            "the shipped sky. Can be repeated: the window switches between the lights and their sum. Changed files are reloaded.",
+            help="Lat-long sky, lights file (.toml), sun:x,y,z or sphere:x,y,z:radius, as for `prtbake shade`; by "
+            "default the shipped sky. Can be repeated: the window switches between the lights and their sum. Changed "
+            "files are reloaded.",
             show_default=False,
         ),
     ] = None,
