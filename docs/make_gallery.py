@@ -106,7 +106,7 @@ class Subject:
             errors = PixelErrors(np.zeros_like(truth), sigma, np.zeros_like(truth))
             free = compare_without_noise(shaded.image, truth, errors, inside, exposure).figures
             noise = float(np.sqrt((sigma[inside] ** 2).sum() / (truth[inside] ** 2).sum()))
-            row: dict[str, Any] = {"light": name, "stated": shaded.errors and shaded.errors.total, "noise": noise}
+            row: dict[str, Any] = {"light": name, "stated": shaded.errors and shaded.errors.as_json(), "noise": noise}
             row |= {each: free[each].as_json() for each in ("relative_rmse", "flip")}
             figures.append(row | {"tracing": facts["processor"], "shading": seconds})
             pictures += [prt.srgb(agx(image, exposure)) for image in (layers.image, shaded.image)]
@@ -126,7 +126,9 @@ def section(figures: dict[str, Any]) -> str:
         "| light | error stated | error measured | FLIP | path tracing | shading |\n|---|---|---|---|---|---|",
     ]
     for each in figures["pictures"]:
-        stated = "unknown" if each["stated"] is None else f"{each['stated']:.1%}"
+        total = each["stated"] and each["stated"]["total"]
+        least = "" if total is None or each["stated"]["complete"] else "at least "
+        stated = "unknown" if total is None else f"{least}{total:.1%}"
         rmse, flip = ([each[name][part] for part in ("value", "low", "high")] for name in ("relative_rmse", "flip"))
         lines.append(
             f"| {each['light']} | {stated} | {rmse[0]:.1%} ({rmse[1]:.1%} to {rmse[2]:.1%}) "
