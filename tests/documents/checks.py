@@ -9,6 +9,7 @@ from typing import Any
 
 import typer
 import typer.main
+from typer.exceptions import TyperException
 
 import prt_bake
 from prt_bake.cli.main import app
@@ -72,7 +73,7 @@ def _parsing_fault(arguments: list[str]) -> Iterator[str]:
         command.make_context(" ".join(names), list(rest))
     except typer.Exit:  # of --help and --version
         pass
-    except Exception as error:
+    except TyperException as error:  # wrong usage
         if type(error).__name__ != "NoArgsIsHelpError":
             yield f"{' '.join(['prtbake', *arguments])}: {getattr(error, 'message', error)}"
 

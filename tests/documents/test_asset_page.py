@@ -1,7 +1,6 @@
 """The readers in docs/reference/asset.md reproduce the self-test and the radiance of `shade`."""
 
 import re
-import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -124,7 +123,6 @@ int main() {{
 """
 
 
-@pytest.mark.skipif(shutil.which("c++") is None, reason="needs a compiler of C++")
 def test_the_program_of_the_page_gives_the_self_test(tmp_path: Path) -> None:
     asset = prt.bake(Lobed(), MESH, rings=4, sectors=8, samples=32)
     test, vertex = asset.selftest, int(asset.selftest["vertex"][0])

@@ -1,4 +1,4 @@
-"""Pages are run in an empty folder; state is kept between blocks, and failures are told with their output."""
+"""Pages are run in an empty folder; state is kept between blocks, and failures are reported with their output."""
 
 import sys
 from pathlib import Path
