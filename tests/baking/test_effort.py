@@ -32,6 +32,7 @@ SENTENCES: list[tuple[Any, str, tuple[Any, ...], str]] = [
     (Lobed(), "fibonacci", (None, 0.005, None), "to 0.5 % error"),
     (Lobed(), "fibonacci", (18, 0.1, None), "to 10 % error; the 18 directions per view bin are ignored"),
     (Lobed(), "fibonacci", (None, None, 5.0), "for 5 minutes"),
+    (Lobed(), "fibonacci", (None, None, 1.0), "for 1 minute"),
     (Lobed(), "fibonacci", (None, 0.01, 5.0), "to 1 % error, for at most 5 minutes"),
     (Lobed(), "fibonacci", (None, None, float("inf")), "until it is stopped"),
     (Lobed(), "sobol", (None, None, None), "with 64 directions per view bin, the default"),

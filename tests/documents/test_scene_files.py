@@ -27,8 +27,9 @@ def test_every_other_example_is_valid_within_it(example: str) -> None:
 
 
 @pytest.mark.parametrize("table", [SceneFile, ObjectTable, InterfaceTable, MediumTable, MixTable, InsideTable])
-def test_every_key_appears_in_an_example(table: Any) -> None:
+def test_every_key_appears_in_an_example_and_in_a_table(table: Any) -> None:
     text = "\n".join(EXAMPLES)
     for name, field in table.model_fields.items():
         key = field.alias or name
         assert re.search(rf"^(?:{key} = |\[+(?:\w+\.)?{key}\])", text, re.MULTILINE), key
+        assert re.search(rf"^\|.*`{key}`.*\|$|^## \[+(?:\w+\.)?{key}\]", TEXT, re.MULTILINE), key
