@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from prt_bake.baking.compress import compress, unpacked
     from prt_bake.baking.lobes.addition import add_lobes
     from prt_bake.comparison.metrics import compare
+    from prt_bake.export.gltf import export_gltf
     from prt_bake.export.mitsuba import mitsuba_dictionary
     from prt_bake.geometry.camera import Camera
     from prt_bake.geometry.camera import fit as fit_camera
@@ -83,6 +84,7 @@ __all__ = [
     "estimate_coefficients",
     "estimate_transport",
     "example",
+    "export_gltf",
     "fit_camera",
     "light_for",
     "load_model",
@@ -143,6 +145,7 @@ _ORIGIN = {
     "estimate_coefficients": ("prt_bake.tracer.estimate", "estimate_coefficients"),
     "estimate_transport": ("prt_bake.tracer.estimate", "estimate_transport"),
     "example": ("prt_bake.shipped.examples", "example"),
+    "export_gltf": ("prt_bake.export.gltf", "export_gltf"),
     "fit_camera": ("prt_bake.geometry.camera", "fit"),
     "light_for": ("prt_bake.shading.asset_light", "light_for"),
     "load_model": ("prt_bake.network.bssrdf", "load_model"),

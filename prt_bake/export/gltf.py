@@ -1,0 +1,181 @@
+"""Assets as binary glTF: the engine form as custom attributes `_PRT_r_k` of the vertices."""
+
+import os
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from formats.asset import Asset
+from formats.errors import QueryError, refuse_path
+from formats.scene.units import MILLIMETRES
+from formats.version import program_version
+from prt_bake.export.engine_errors import FormError, degree_for, form_error
+from prt_bake.export.engine_form import DEFAULT_DEGREE, EngineForm, blocks, engine_form
+from prt_bake.export.extras import StatedLight, extras, texel_coordinates
+from prt_bake.export.glb import Buffer, write_glb
+from prt_bake.export.quantization import Quantized, dequantized, quantized
+from prt_bake.lights.environment import project, read_environment
+from prt_bake.shading.vertices import light_coefficients
+from prt_bake.shipped.examples import example
+
+Array = NDArray[np.float64]
+
+SKY = "sky.hdr"
+_BRIGHT = 99.0
+"""Percentile of the vertex colours' radiance that is shown as white."""
+_TURN_Z_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
+"""Quaternion from z up to y up, as in glTF."""
+
+
+class Exported(NamedTuple):
+    """What is written: the engine form as a reader finds it, its codes if it is quantised, its error, its JSON."""
+
+    form: EngineForm
+    codes: Quantized | None
+    error: FormError
+    extras: dict[str, Any]
+
+
+def export_gltf(
+    asset: Asset,
+    path: str | os.PathLike[str],
+    degree: int | None = None,
+    error: float | None = None,
+    quantize: Literal["int8"] | None = None,
+    light: ArrayLike | None = None,
+    light_name: str = "",
+) -> FormError:
+    """Write an asset as a binary glTF file (`.glb`), in harmonics of the view; docs/reference/gltf.md has its layout.
+
+    Args:
+        asset: the baked asset.
+        path: the file to write.
+        degree: of the harmonics of the view, 0 to 8; 3 by default.
+        error: chooses the least degree whose coefficients are within this relative RMSE, in place of `degree`.
+        quantize: "int8" stores 8 bits for each number, a third of the size; Blender does not import them.
+        light: [K,3], coefficients of a light to fold in; None keeps every light.
+        light_name: stated in the file.
+
+    Returns the error of the file compared with the asset.
+
+    Raises QueryError for an argument that is not valid, an error that no degree reaches, and an asset without baked
+    vertices; StorageError if the file cannot be written.
+
+    >>> import prt_bake as prt
+    >>> error = prt.export_gltf(prt.read_asset("spot.h5"), "spot.glb")
+    """
+    refuse_path("asset", asset, "prt.read_asset")
+    shown = None if light is None else StatedLight(light_name, light_coefficients(asset, light), 1.0)
+    exported = prepare_export(asset, degree, error, quantize, shown, folded=light is not None)
+    write_gltf(asset, path, exported)
+    return exported.error
+
+
+def prepare_export(
+    asset: Asset,
+    degree: int | None,
+    error: float | None,
+    quantize: str | None,
+    light: StatedLight | None,
+    folded: bool,
+) -> Exported:
+    """Compute what `write_gltf` writes. light: of the vertex colours, by default the shipped sky, and of the form if
+    `folded`.
+    """
+    if degree is not None and error is not None:
+        raise QueryError("degree and error: error chooses the degree; give one of them")
+    if quantize not in (None, "int8"):
+        raise QueryError(f"quantize: expected 'int8' or None, found {quantize!r}")
+    light = light or _default_light(asset)
+    into = light.coefficients if folded else None
+    if error is not None:
+        degree = degree_for(asset, error, into)
+    form = engine_form(asset, DEFAULT_DEGREE if degree is None else degree, into)
+    codes = quantized(form) if quantize else None
+    form = form if codes is None else dequantized(form, codes)
+    measured = form_error(asset, form, light.coefficients, into)
+    entries = extras(asset, form, measured, light)
+    if codes is not None:
+        entries |= {"quantize": "int8", "scales": codes.scales.astype(float).tolist()}
+    return Exported(form, codes, measured, entries)
+
+
+def write_gltf(asset: Asset, path: str | os.PathLike[str], exported: Exported) -> None:
+    """Write a prepared export."""
+    buffer = Buffer()
+    mesh, entries = asset.mesh, dict(exported.extras)
+    origin = (mesh.positions.min(axis=0) + mesh.positions.max(axis=0)) / 2.0
+    texel = texel_coordinates(len(mesh.positions))
+    uv = texel if mesh.uv is None else (mesh.uv * [1.0, -1.0] + [0.0, 1.0]).astype(np.float32)
+    colours, scale = vertex_colours(asset, np.array(entries["light"]["coefficients"]))
+    entries["light"] = entries["light"] | {"colour_scale": scale}
+    attributes = {
+        "POSITION": buffer.add_vertices((mesh.positions - origin).astype(np.float32), bounds=True),
+        "NORMAL": buffer.add_vertices(mesh.normals.astype(np.float32)),
+        "TEXCOORD_0": buffer.add_vertices(uv),
+        "TEXCOORD_1": buffer.add_vertices(texel),
+        "COLOR_0": buffer.add_vertices(colours),
+        **prt_attributes(buffer, exported),
+    }
+    primitive = {
+        "attributes": attributes,
+        "indices": buffer.add_indices(mesh.faces, len(mesh.positions)),
+        "material": 0,
+    }
+    document = {
+        "asset": {"version": "2.0", "generator": f"prtbake {program_version()}"},
+        "extensionsUsed": ["KHR_materials_unlit"],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [_node(asset, origin)],
+        "materials": [{"name": "prtbake", "pbrMetallicRoughness": {}, "extensions": {"KHR_materials_unlit": {}}}],
+        "meshes": [{"name": "prtbake", "primitives": [primitive], "extras": {"prtbake": entries}}],
+    }
+    write_glb(path, document, buffer)
+
+
+def prt_attributes(
+    buffer: Buffer, exported: Exported, vertices: NDArray[np.integer] | slice = slice(None)
+) -> dict[str, int]:
+    """Add the attributes of the engine form to a buffer, of all or of some vertices, and return their accessors."""
+    codes, form = exported.codes, exported.form
+    stored: Any = form.coefficients if codes is None else codes.codes
+    name = str(exported.extras["attributes"])
+    return {
+        name.format(r=r, k=k): buffer.add_vertices(stored[vertices, r, k], normalised=codes is not None)
+        for r in range(stored.shape[1])
+        for k in range(stored.shape[2])
+    }
+
+
+def vertex_colours(asset: Asset, light: Array) -> tuple[NDArray[np.float32], float]:
+    """Colours [V,3] in [0,1], the mean over the view of the radiance under a light [K,3], and their scale."""
+    weights = np.ones((1, 3)) if asset.quantity == "radiance" else light
+    means = np.zeros((len(asset.valid), 3))
+    for part, block in blocks(asset):
+        means[part] = np.einsum("nkc,kc->nc", block.mean(axis=1, dtype=np.float64), weights)
+    means = np.maximum(means, 0.0)
+    brightest = float(np.percentile(means[asset.valid], _BRIGHT))
+    scale = 1.0 / brightest if brightest > 0.0 else 1.0
+    return np.minimum(scale * means, 1.0).astype(np.float32), scale
+
+
+def _default_light(asset: Asset) -> StatedLight:
+    """The shipped sky, upright for the asset; for an asset of one light, that light."""
+    if asset.quantity == "radiance":
+        return StatedLight("the light of the asset", np.ones((1, 3)), 1.0)
+    sky = project(read_environment(example(SKY)), asset.degree, asset.up)
+    return StatedLight(f"{SKY} of prtbake", sky, 1.0)
+
+
+def _node(asset: Asset, origin: Array) -> dict[str, Any]:
+    """The node of the mesh: object space in metres, y up."""
+    metres = MILLIMETRES.get(asset.unit, 1000.0) / 1000.0
+    placed = origin if asset.up == "y" else origin[[0, 2, 1]] * [1.0, 1.0, -1.0]
+    node: dict[str, Any] = {"name": "prtbake", "mesh": 0, "translation": (metres * placed).tolist()}
+    if asset.up == "z":
+        node["rotation"] = _TURN_Z_UP
+    if metres != 1.0:
+        node["scale"] = [metres] * 3
+    return node
