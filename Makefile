@@ -10,7 +10,8 @@ BIN := $(if $(filter Windows_NT,$(OS)),.venv/Scripts,.venv/bin)
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo picture gallery test test-statistics lint docs docs-commands wheel messages bench gpu shipped clean
+.PHONY: demo picture gallery test test-statistics test-engines test-blender lint docs docs-commands wheel messages bench gpu \
+	shipped clean
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 demo: .venv/installed-evaluate,preview
@@ -25,11 +26,19 @@ gallery: .venv/installed-evaluate
 	$(BIN)/python docs/make_gallery.py
 
 test: .venv/installed-dev .venv/apart/installed
-	$(PYTEST) -m "not statistics"
+	$(PYTEST) -m "not statistics and not engines"
 
 # Tests that need many samples: calibration, Mitsuba, extremes, whole bakes and trainings.
 test-statistics: .venv/installed-dev .venv/apart/installed
-	$(PYTEST) -m statistics
+	$(PYTEST) -m "statistics and not engines"
+
+# Other people's programs on exported files: Chromium, Node.js packages, a C compiler. What is not installed is said and skipped.
+test-engines: .venv/installed-dev tests/engines/node_modules/.package-lock.json
+	$(BIN)/python -m pytest -m engines -rs tests/engines
+
+# Blender as a Python module, 1 GB, in an environment of its own.
+test-blender: .venv/installed-dev .venv/blender/installed
+	$(BIN)/python -m pytest -m engines -rs tests/engines/test_blender.py
 
 lint: .venv/installed-dev
 	$(BIN)/ruff check
@@ -104,6 +113,20 @@ clean:
 	@mkdir -p .venv/apart
 	@test "$$(uname -s)" != Linux || $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --no-compile \
 		--no-deps --upgrade --constraint constraints.txt --target .venv/apart triton
+	@touch $@
+
+# npm writes the stamp. Install scripts are not run: no package needs its own.
+tests/engines/node_modules/.package-lock.json: tests/engines/package-lock.json
+	@command -v npm >/dev/null || { echo "prtbake: npm was not found; install Node.js 20 or newer (Debian: 'sudo apt install" \
+		"nodejs npm')" >&2; exit 1; }
+	cd tests/engines && npm ci --ignore-scripts --no-audit --no-fund
+	@touch $@
+
+# bpy 4.5, the version with long-term support, is for Python 3.11 only.
+.venv/blender/installed: | .venv/installed-dev
+	@command -v python3.11 >/dev/null || { echo "prtbake: Blender 4.5 needs Python 3.11; install python3.11" >&2; exit 1; }
+	python3.11 -m venv .venv/blender
+	.venv/blender/bin/python -m pip install --quiet --quiet --disable-pip-version-check bpy==4.5.15
 	@touch $@
 
 # The stamp is named after the extra that is installed with the package.
