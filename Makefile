@@ -10,8 +10,8 @@ BIN := $(if $(filter Windows_NT,$(OS)),.venv/Scripts,.venv/bin)
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo picture gallery test test-statistics test-engines test-blender lint docs docs-commands wheel messages bench gpu \
-	shipped clean
+.PHONY: demo picture gallery test test-statistics test-engines test-blender lint site docs docs-commands wheel messages \
+	bench gpu shipped clean
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 demo: .venv/installed-evaluate,preview
@@ -46,6 +46,15 @@ lint: .venv/installed-dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# The packages of the page of `prtbake export`: needs npm, which fetches them once. The page itself fetches nothing.
+PAGE = prt_bake/export/page
+site: $(PAGE)/vendor/VERSIONS
+
+$(PAGE)/vendor/VERSIONS: $(PAGE)/package.json $(PAGE)/package-lock.json $(PAGE)/vendor.mjs
+	@command -v npm >/dev/null || { echo "prtbake: make site needs npm, which comes with Node.js 20 or newer" >&2; exit 1; }
+	cd $(PAGE) && npm ci --ignore-scripts --no-audit --no-fund --loglevel error && npm run --silent vendor
+	rm -rf $(PAGE)/node_modules
+
 # The documentation site: docs/build/html/index.html. Warnings are errors; nothing is fetched.
 docs: .venv/installed-dev
 	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going --doctree-dir docs/build/doctrees docs docs/build/html
@@ -55,7 +64,7 @@ docs-commands: .venv/installed-dev
 	$(BIN)/python -m tests.documents.run $(PAGES)
 
 # The source distribution and the wheel of a release in dist/. With TAG=v1.2.3 the version must be 1.2.3.
-wheel: .venv/installed-dev
+wheel: .venv/installed-dev site
 	@test -z "$(TAG)" || grep -q '^version = "$(patsubst v%,%,$(TAG))"$$' pyproject.toml \
 		|| { echo "prtbake: $(TAG) is not the version of pyproject.toml" >&2; exit 1; }
 	rm -rf dist build
@@ -105,7 +114,7 @@ shipped: .venv/installed-evaluate
 		-o prt_bake/shipped/reference.exr --view three-quarter-back --size 256x256 --spp 2048 --report prt_bake/shipped/reference.json
 
 clean:
-	rm -rf .venv demo bench build dist docs/build
+	rm -rf .venv demo bench build dist docs/build $(PAGE)/vendor
 
 # Triton interprets GPU kernels in tests on machines without a GPU. It has a separate folder: a process cannot use both its
 # LLVM and that of OpenGL, and torch loads Triton wherever it finds it.

@@ -1,4 +1,4 @@
-"""`prtbake view`: shows a baked asset in a window with free camera and light."""
+"""`prtbake view`: shows a baked asset in a window or a browser, with free camera and light."""
 
 import os
 import signal
@@ -13,6 +13,7 @@ import typer
 from formats.errors import QueryError
 from formats.extras import require
 from prt_bake.cli.shared import signals
+from prt_bake.cli.shared.browser import view_in_browser
 from prt_bake.cli.shared.fixed import fixed_light
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.options import (
@@ -48,6 +49,7 @@ _WITHOUT_DISPLAY = "there is no display for the window; --screenshot F.png write
 
 
 def view(
+    context: typer.Context,
     asset: Annotated[Path, typer.Argument(metavar="ASSET", help="Asset that `prtbake bake` wrote.")],
     light: Annotated[
         list[str] | None,
@@ -88,11 +90,25 @@ def view(
     up: Up = None,
     mend: Mend = False,
     suns: Suns = "split",
+    browser: Annotated[
+        bool,
+        typer.Option(
+            "--browser",
+            help="Show it in the browser instead, on the page of `prtbake export ASSET -o FOLDER`, until Ctrl-C; "
+            "ASSET may also be a .glb of `prtbake export`.",
+        ),
+    ] = False,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of --browser on 127.0.0.1; 0 is a free one.")] = 0,
 ) -> None:
-    """Show a baked asset in an interactive window.
+    """Show a baked asset in an interactive window, or in the browser.
 
     Orbit, rotate the light, flip to a reference, inspect errors and coefficients. Press h in the window for its keys.
     """
+    if browser:
+        view_in_browser(context, asset, light, mend, port)
+        return
+    if port:
+        raise typer.BadParameter("--port: has no effect on the window; add --browser")
     refuse_other_kinds({"ASSET": (asset, ("asset",)), "--light": (light, LIGHT), "--compare": (compare, ("sky",))})
     if screenshot is None and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         raise QueryError(f"view: {_WITHOUT_DISPLAY}")

@@ -16,6 +16,8 @@ from tests import ROOT
 pytestmark = pytest.mark.statistics
 
 PACKAGES = ("formats", "bakers", "prt_bake")
+PAGE = ROOT / "prt_bake" / "export" / "page"
+"""Of the page, what `make site` reads is left out."""
 PIP = (sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check")
 
 
@@ -57,7 +59,10 @@ def installed(wheel: Path, place: Path) -> Iterator[Path]:
 def test_the_wheel_holds_the_packages_and_the_shipped_files_alone(wheel: Path) -> None:
     names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     files = (path for name in PACKAGES for path in (ROOT / name).rglob("*") if "__pycache__" not in path.parts)
-    assert names == {str(path.relative_to(ROOT)) for path in files if path.is_file()}
+    carried = {path for pattern in ("*.html", "*.js", "*.css", "vendor/**/*") for path in PAGE.glob(pattern)}
+    assert names == {str(path.relative_to(ROOT)) for path in files if path.is_file() and PAGE not in path.parents} | {
+        str(path.relative_to(ROOT)) for path in carried if path.is_file()
+    }
 
 
 def test_the_demo_runs_from_a_wheel_without_a_home(installed: Path, place: Path) -> None:
