@@ -1,4 +1,4 @@
-"""`prtbake export`: writes an asset for engines, or a scene for Mitsuba 3."""
+"""`prtbake export`: writes an asset for engines and browsers, or a scene for Mitsuba 3."""
 
 import shutil
 from pathlib import Path
@@ -9,6 +9,7 @@ import typer
 from formats.errors import QueryError
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.next_step import say_next
+from prt_bake.cli.shared.options import Mend, within
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
 
@@ -16,18 +17,29 @@ if TYPE_CHECKING:
     from formats.asset import Asset
     from prt_bake.export.extras import StatedLight
 
-Target = Literal["glb", "mitsuba"]
+Target = Literal["glb", "site", "mitsuba"]
+_SUFFIXES: dict[str, Target] = {".glb": "glb"}
+_FITTING: dict[Target, tuple[str, ...]] = {
+    "glb": ("asset",),
+    "site": ("asset", "mesh"),
+    "mitsuba": ("scene",),
+}
+"""The kinds of files that can become each target; a mesh here is the .glb of an asset."""
 _HIGH_ERROR = 0.05
 """From this error of the coefficients on, the command names the option that lowers it."""
 
 
 def export(
-    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Asset, or scene.")],
+    context: typer.Context,
+    source: Annotated[
+        list[Path], typer.Argument(metavar="SOURCE...", help="Asset; several for a site; or a scene for Mitsuba.")
+    ],
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="OUT", help="X.glb; or for a scene a folder.", show_default=False)
+        Path,
+        typer.Option("--output", "-o", metavar="OUT", help="X.glb, or a folder: a site, for a scene that of Mitsuba."),
     ],
     to: Annotated[
-        Target | None, typer.Option(help="What to write; by default SOURCE and OUT decide.", show_default=False)
+        Target | None, typer.Option(help="What to write; by default OUT and SOURCE decide.", show_default=False)
     ] = None,
     degree: Annotated[
         int | None,
@@ -36,7 +48,9 @@ def export(
     error: Annotated[
         float | None,
         typer.Option(
-            help="Choose the least degree whose coefficients are within this relative RMSE.", show_default=False
+            callback=within(0.0, 1.0),
+            help="Choose the least degree whose coefficients are within this relative RMSE.",
+            show_default=False,
         ),
     ] = None,
     quantize: Annotated[
@@ -48,41 +62,73 @@ def export(
         typer.Option(
             "--light",
             metavar="LIGHT",
-            help="Fold this light in, as for `prtbake shade`: a ninth of the size, for this light alone.",
+            help="As for `prtbake shade`. A file: fold this light in, a ninth of the size, for this light alone. A "
+            "site: a light of the page; can be repeated.",
             show_default=False,
         ),
     ] = None,
+    mend: Mend = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace the folder of a site.")] = False,
 ) -> None:
-    """Write an asset for engines, or a scene for Mitsuba 3.
+    """Write an asset for engines and browsers, or a scene for Mitsuba 3.
 
-    An asset becomes X.glb: a glTF file whose vertices carry the transport, in harmonics of the view and of the light. A
-    scene becomes a folder for Mitsuba 3, lit by a constant white environment.
+    X.glb is a glTF file whose vertices carry the transport, in harmonics of the view and of the light. A site is a
+    folder with a page that shows the asset, for any web server. A scene becomes a folder for Mitsuba 3, lit by a
+    constant white environment.
     """
-    refuse_other_kinds({"SOURCE": (source, ("asset", "scene")), "--light": (light, LIGHT)})
+    others = [each for each in source if each.suffix.lower() != ".glb"]
+    refuse_other_kinds({"SOURCE": (others, ("asset", "scene")), "--light": (light, LIGHT)})
+    target = _target(source, output, to)
+    _refuse_ineffective(context, target)
+    if target == "mitsuba":
+        _to_mitsuba(source[0], output)
+    elif target == "site":
+        _to_site(source, output, light or [], mend, force)
+    else:
+        check_outputs({"--output": output}, {"SOURCE": source, "--light": light})
+        from formats.asset import read_asset
+        from prt_bake.export.gltf import prepare_export, write_gltf
+
+        asset = read_asset(source[0])
+        stated = _stated(asset, light or [], mend)
+        exported = prepare_export(asset, degree, error, quantize, stated, folded=bool(light))
+        write_gltf(asset, output, exported)
+        _print_error(source[0], output, exported)
+
+
+def _target(source: list[Path], output: Path, to: Target | None) -> Target:
+    """What to write; raises QueryError for sources that cannot become it."""
     from prt_bake.inspection.files import kind_of
 
-    kind = kind_of(source)
-    target = to or ("mitsuba" if kind == "scene" else "glb")
-    _refuse_other_target(source, kind, target, output)
-    if target == "mitsuba":
-        _to_mitsuba(source, output)
-        return
-    check_outputs({"--output": output}, {"SOURCE": source, "--light": light})
-    from formats.asset import read_asset
-    from prt_bake.export.gltf import prepare_export, write_gltf
-
-    asset = read_asset(source)
-    exported = prepare_export(asset, degree, error, quantize, _stated(asset, light or []), folded=bool(light))
-    write_gltf(asset, output, exported)
-    _print_error(source, output, exported)
-
-
-def _refuse_other_target(source: Path, kind: str, target: Target, output: Path) -> None:
-    if (kind == "scene") != (target == "mitsuba"):
-        fitting = "mitsuba" if kind == "scene" else "glb"
-        raise QueryError(f"{source}: expected --to {fitting} for {kind} files, found --to {target}")
+    kinds = [kind_of(each) for each in source]
+    target: Target = to or ("mitsuba" if kinds[0] == "scene" else _SUFFIXES.get(output.suffix.lower(), "site"))
+    for each, kind in zip(source, kinds, strict=True):
+        if kind not in _FITTING[target]:
+            fitting = " or ".join(name for name, possible in _FITTING.items() if kind in possible)
+            raise QueryError(f"{each}: --to {target} does not take this kind of file, {kind}; expected --to {fitting}")
+    if target != "site" and len(source) > 1:
+        raise QueryError(f"{output}: is made of one SOURCE, found {len(source)}; only a site shows several")
     if target == "glb" and output.suffix.lower() != ".glb":
         raise QueryError(f"{output}: expected a name that ends in .glb; give -o {output.with_suffix('.glb')}")
+    return target
+
+
+def _refuse_ineffective(context: typer.Context, target: Target) -> None:
+    """Refuse options that another target has."""
+    of_files, of_lights = ("degree", "error", "quantize"), ("light", "mend")
+    ineffective = {"glb": ("force",), "site": of_files, "mitsuba": (*of_files, *of_lights, "force")}[target]
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        if source is not None and source.name == "COMMANDLINE" and parameter.name in ineffective:
+            raise typer.BadParameter(f"{parameter.opts[0]}: has no effect on --to {target}; omit it")
+
+
+def _to_site(assets: list[Path], folder: Path, lights: list[str], mend: bool, force: bool) -> None:
+    from prt_bake.export.site import export_site
+
+    size = export_site(assets, folder, lights, force=force, mend=mend, say=say)
+    print(f"{folder}: {size / 1e6:.1f} MB, a page that any web server shows")
+    say_next("python3", "-m", "http.server", "--bind", "127.0.0.1", "--directory", folder)
 
 
 def _to_mitsuba(scene: Path, folder: Path) -> None:
@@ -97,7 +143,7 @@ def _to_mitsuba(scene: Path, folder: Path) -> None:
         say_next("mitsuba", written)
 
 
-def _stated(asset: "Asset", lights: list[str]) -> "StatedLight | None":
+def _stated(asset: "Asset", lights: list[str], mend: bool) -> "StatedLight | None":
     """The sum of the lights, in harmonics; None without lights."""
     if not lights:
         return None
@@ -105,7 +151,7 @@ def _stated(asset: "Asset", lights: list[str]) -> "StatedLight | None":
     from prt_bake.lights.lighting import read_lighting
     from prt_bake.shading.sun_shading import suns_apart
 
-    lighting = read_lighting(lights, asset.up, say=say, mesh=asset.mesh, degree=asset.degree)
+    lighting = read_lighting(lights, asset.up, mend=mend, say=say, mesh=asset.mesh, degree=asset.degree)
     names = [Path(light).name for light in lights]
     return StatedLight(" + ".join(names), suns_apart(lighting, asset.degree, "plain").harmonics, 1.0)
 

@@ -64,7 +64,8 @@ def kinds(folder: Path, tmp_path: Path, prtbake: Run, monkeypatch: pytest.Monkey
         ("importance asset.h5 sphere.ply", "expected a model (MODEL), found an asset; give the model that it was "),
         ("compare asset.h5 sky.exr", "make a picture of it first: prtbake shade asset.h5"),
         ("light sphere.ply", "expected a picture or a lights file (ENVIRONMENT), found a mesh"),
-        ("export model.pt -o a", "expected a scene (SCENE), found a model"),
+        ("export model.pt -o a", "expected an asset or a scene (SOURCE), found a model; bake it first"),
+        ("export sphere.ply -o a.glb", "expected an asset or a scene (SOURCE), found a mesh"),
         ("init scene.toml --material jade -o b.toml", "expected a mesh (MESH), found a scene"),
         (
             "init sky.exr --material jade -o b.toml",
