@@ -89,9 +89,13 @@ def extras(asset: Asset, form: EngineForm, error: FormError, light: StatedLight)
     }
 
 
-def selftest(asset: Asset, form: EngineForm) -> dict[str, Any]:
-    """Radiance that a reader must find: six views of the first, the last and two other vertices, not clamped to 0."""
-    valid = np.flatnonzero(asset.valid)
+def selftest(asset: Asset, form: EngineForm, among: NDArray[np.integer] | None = None) -> dict[str, Any]:
+    """Radiance that a reader must find: six views of the first, the last and two other vertices, not clamped to 0.
+
+    among: the vertices to choose from, ascending; None for all.
+    """
+    present = np.arange(len(asset.valid)) if among is None else among
+    valid = present[asset.valid[present]] if asset.valid[present].any() else present
     chosen = valid[[0, len(valid) // 3, 2 * len(valid) // 3, -1]]
     vertices = chosen[np.arange(len(_TEST_DIRECTIONS)) % len(chosen)]
     normals, tangents = asset.mesh.normals[vertices], np.asarray(asset.tangents, np.float64)[vertices]

@@ -45,6 +45,7 @@ def export_gltf(
     quantize: Literal["int8"] | None = None,
     light: ArrayLike | None = None,
     light_name: str = "",
+    onto: str | os.PathLike[str] | None = None,
 ) -> FormError:
     """Write an asset as a binary glTF file (`.glb`), in harmonics of the view; docs/reference/gltf.md has its layout.
 
@@ -56,11 +57,13 @@ def export_gltf(
         quantize: "int8" stores 8 bits for each number, a third of the size; Blender does not import them.
         light: [K,3], coefficients of a light to fold in; None keeps every light.
         light_name: stated in the file.
+        onto: the `.glb` file that was baked. It is written to `path` as it is, with the attributes added to its meshes.
 
     Returns the error of the file compared with the asset.
 
     Raises QueryError for an argument that is not valid, an error that no degree reaches, and an asset without baked
-    vertices; StorageError if the file cannot be written.
+    vertices; MeshError if the vertices of `onto` are not on the baked mesh, or its meshes are compressed, have a skin,
+    morph targets or instances, or have parts in other files; StorageError if the file cannot be written.
 
     >>> import prt_bake as prt
     >>> error = prt.export_gltf(prt.read_asset("spot.h5"), "spot.glb")
@@ -68,7 +71,7 @@ def export_gltf(
     refuse_path("asset", asset, "prt.read_asset")
     shown = None if light is None else StatedLight(light_name, light_coefficients(asset, light), 1.0)
     exported = prepare_export(asset, degree, error, quantize, shown, folded=light is not None)
-    write_gltf(asset, path, exported)
+    write_gltf(asset, path, exported, onto)
     return exported.error
 
 
@@ -101,8 +104,15 @@ def prepare_export(
     return Exported(form, codes, measured, entries)
 
 
-def write_gltf(asset: Asset, path: str | os.PathLike[str], exported: Exported) -> None:
-    """Write a prepared export."""
+def write_gltf(
+    asset: Asset, path: str | os.PathLike[str], exported: Exported, onto: str | os.PathLike[str] | None = None
+) -> None:
+    """Write a prepared export, alone or onto a file of the user."""
+    if onto is not None:
+        from prt_bake.export.onto import write_onto  # here, since it loads pydantic, and takes attributes from above
+
+        write_onto(asset, onto, path, exported)
+        return
     buffer = Buffer()
     mesh, entries = asset.mesh, dict(exported.extras)
     origin = (mesh.positions.min(axis=0) + mesh.positions.max(axis=0)) / 2.0

@@ -3,6 +3,7 @@
 import os
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -38,12 +39,34 @@ def read_scene(path: str | os.PathLike[str]) -> TriangleSoup:
     file = open_gltf(path)
     forest = read_forest(file)
     visible = visible_nodes(file, forest)
-    with np.errstate(all="ignore"):  # `read_mesh` reports positions that are not finite
-        parts = _Reader(file, forest).parts(visible)
+    parts = [one.part for one in placed_primitives(file, forest, visible)]
     file.warn_of_remarks()
     if not parts:
         raise MeshError(f"{path}: {why_nothing_is_shown(file, forest, visible)}")
     return join(parts, os.fspath(path))
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A primitive where a node shows it.
+
+    Attributes:
+        node: number of the node.
+        number: number of the primitive in the node's mesh.
+        primitive: its record.
+        part: its triangles, in the coordinates of the scene.
+    """
+
+    node: int
+    number: int
+    primitive: Primitive
+    part: Part
+
+
+def placed_primitives(file: GltfFile, forest: Forest, nodes: list[int]) -> list[Placed]:
+    """Return the primitives of nodes that have triangles, as `read_scene` reads them; raises as it does."""
+    with np.errstate(all="ignore"):  # `read_mesh` reports positions that are not finite
+        return _Reader(file, forest).primitives(nodes)
 
 
 class _Reader:
@@ -53,44 +76,49 @@ class _Reader:
         self._file = file
         self._accessors = Accessors(file)
         self._forest = forest
-        self._meshes: dict[tuple[int, tuple[float, ...]], list[tuple[Primitive, Part]]] = {}
+        self._meshes: dict[tuple[int, tuple[float, ...]], list[tuple[int, Primitive, Part]]] = {}
         primitives = [primitive for mesh in file.records.meshes for primitive in mesh.primitives]
         self._uses = Counter(primitive.attributes.get("POSITION") for primitive in primitives)
         self._read, self._made = 0, 0  # numbers of vertices and faces
 
-    def parts(self, nodes: list[int]) -> list[Part]:
-        """Return the parts of nodes in the coordinates of the scene, without those that have no triangle."""
-        parts = []
+    def primitives(self, nodes: list[int]) -> list[Placed]:
+        """Return the primitives of nodes in the coordinates of the scene, without those that have no triangle."""
+        placed = []
         for index in nodes:
             node = self._file.records.nodes[index]
             if node.mesh is not None:
-                parts += self._placed(index, node, node.mesh)
-        return [part for part in parts if len(part.faces)]
+                placed += self._placed(index, node, node.mesh)
+        return [one for one in placed if len(one.part.faces)]
 
-    def _placed(self, index: int, node: Node, mesh: int) -> list[Part]:
+    def _placed(self, index: int, node: Node, mesh: int) -> list[Placed]:
         """Return the parts of a node's mesh, moved by the node and its instances, or by its skin."""
         where = f"nodes[{index}]"
         primitives = self._primitives(mesh, node.weights, f"{where}.mesh")
         instances = instance_matrices(self._accessors, self._file, index)
-        self._made += len(instances) * sum(_size(part) for _, part in primitives)
+        self._made += len(instances) * sum(_size(part) for _, _, part in primitives)
         copies = f"{len(instances)} copies" if len(instances) > 1 else "a copy"
         remedy = "export fewer copies, or each as a mesh of its own"
         self._refuse_too_many(self._made, where, f"{copies} of mesh {mesh}", remedy)
         if node.skin is None:
             matrices = self._forest.matrices[index] @ instances
-            return [place(part, matrices[:, None], self._file.node(index)) for _, part in primitives]
+            words = self._file.node(index)
+            return [
+                Placed(index, number, one, place(part, matrices[:, None], words)) for number, one, part in primitives
+            ]
         if node.extensions.EXT_mesh_gpu_instancing is not None:
             remedy = "apply the skin and export it again"
             raise self._file.fault(where, "has a skin and EXT_mesh_gpu_instancing, which are not read together", remedy)
         joints = joint_matrices(self._file, self._accessors, self._forest, node.skin, f"{where}.skin")
         placed = []
-        for primitive, part in primitives:
+        for number, primitive, part in primitives:
             matrices = vertex_matrices(self._file, self._accessors, primitive, part.place, joints, part.rows)
-            placed.append(place(part, matrices[None], self._file.node(index)))
+            placed.append(Placed(index, number, primitive, place(part, matrices[None], self._file.node(index))))
         return placed
 
-    def _primitives(self, index: int, node_weights: Sequence[float] | None, where: str) -> list[tuple[Primitive, Part]]:
-        """Return the primitives of a mesh that have triangles: their records and triangles."""
+    def _primitives(
+        self, index: int, node_weights: Sequence[float] | None, where: str
+    ) -> list[tuple[int, Primitive, Part]]:
+        """Return the primitives of a mesh that have triangles: their numbers, records and triangles."""
         mesh = self._file.entry("mesh", self._file.records.meshes, index, where)
         weights = mesh.weights or [] if node_weights is None else node_weights
         key = (index, tuple(weights))
@@ -104,7 +132,7 @@ class _Reader:
                     self._read += _size(part)
                     remedy = "export primitives with indices of their own"
                     self._refuse_too_many(self._read, place_of, "primitives that share their accessors", remedy)
-                    self._meshes[key].append((primitive, part))
+                    self._meshes[key].append((number, primitive, part))
         return self._meshes[key]
 
     def _refuse_too_many(self, elements: int, where: str, cause: str, remedy: str) -> None:

@@ -1,0 +1,113 @@
+"""Adds the attributes of the engine form to a `.glb` file of the user: `prtbake export ASSET --onto USER.glb`.
+
+The file keeps its materials, textures, nodes, animations and extras. Each of its vertices gets the coefficients of the
+baked vertex at the same place, where object space is the scene of the file at rest, as `read_mesh` reads it.
+"""
+
+import copy
+import json
+import os
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from formats.asset import Asset
+from formats.errors import MeshError
+from formats.mesh.gltf.container import open_gltf
+from prt_bake.export.baked_nodes import BakedNode, baked_nodes
+from prt_bake.export.extras import selftest, texel_coordinates
+from prt_bake.export.glb import Buffer, write_glb
+from prt_bake.export.gltf import Exported, prt_attributes, vertex_colours
+
+Record = dict[str, Any]
+
+
+def write_onto(asset: Asset, user: str | os.PathLike[str], path: str | os.PathLike[str], exported: Exported) -> None:
+    """Write the file `user` with the vertex attributes of a prepared export to `path`.
+
+    Each mesh of the baked object gets the attributes `_PRT_…`, the texel of the baked vertex in the next set of texture
+    coordinates, COLOR_0 if it has none, and the key "prtbake" of its extras. Other objects are left as they are, with
+    an InputWarning. A mesh that several nodes show is copied for each of them.
+
+    Raises:
+        MeshError: vertices are not on the baked mesh, or the file has compressed geometry, parts in other files, or a
+            baked mesh with a skin, morph targets or instances.
+        StorageError: the file cannot be written.
+    """
+    nodes = baked_nodes(open_gltf(user), asset.mesh)
+    document, buffer = _opened(user)
+    meshes = _own_meshes(document, nodes)
+    for mesh in meshes:
+        _refuse_earlier_export(mesh, user)
+    shown = [mesh["primitives"][number] for mesh, node in zip(meshes, nodes, strict=True) for number in node.shown]
+    texel = _texel_set(shown)
+    colours, scale = vertex_colours(asset, np.array(exported.extras["light"]["coefficients"]))
+    columns = {"COLOR_0": colours, f"TEXCOORD_{texel}": texel_coordinates(len(asset.valid))}
+    for mesh, node in zip(meshes, nodes, strict=True):
+        for accessor, vertices in node.vertices.items():
+            primitives = (mesh["primitives"][number]["attributes"] for number in node.shown)
+            alike = [attributes for attributes in primitives if attributes["POSITION"] == accessor]
+            added = prt_attributes(buffer, exported, vertices)
+            for name, values in columns.items():
+                if any(name not in attributes for attributes in alike):
+                    added[name] = buffer.add_vertices(values[vertices])
+            # Sets of texture coordinates are numbered without gaps.
+            added |= {f"TEXCOORD_{number}": added[f"TEXCOORD_{texel}"] for number in range(texel)}
+            for attributes in alike:
+                attributes.update(added | attributes)
+        used = np.unique(np.concatenate(list(node.vertices.values())))
+        entries = exported.extras | {
+            "texel_attribute": f"TEXCOORD_{texel}",
+            "local_to_object": node.to_object.ravel().tolist(),
+            "light": exported.extras["light"] | {"colour_scale": scale},
+            "selftest": selftest(asset, exported.form, used),
+        }
+        mesh.setdefault("extras", {})["prtbake"] = entries
+    write_glb(path, document, buffer)
+
+
+def _opened(path: str | os.PathLike[str]) -> tuple[Record, Buffer]:
+    """Return the JSON and the buffer of a file that `open_gltf` has read; raises MeshError if parts are in others."""
+    with open(path, "rb") as file:
+        content = file.read()
+    if content[:4] != b"glTF":
+        raise MeshError(f"{path}: expected binary glTF; export it as .glb")
+    (length,) = struct.unpack_from("<I", content, 12)
+    document: Record = json.loads(content[20 : 20 + length].rstrip(b"\0").decode("utf-8-sig"))
+    remedy = "export it as one .glb file"
+    for index, image in enumerate(document.get("images", [])):
+        uri = image.get("uri", "data:")
+        if uri[:5].lower() != "data:":
+            raise MeshError(f"{path}: images[{index}]: is in another file, {uri[:80]!r}; {remedy}")
+    if len(document["buffers"]) > 1 or "uri" in document["buffers"][0]:
+        raise MeshError(f"{path}: buffers: expected the binary chunk alone, found others; {remedy}")
+    start = 28 + length
+    binary = content[start : start + document["buffers"][0]["byteLength"]]
+    return document, Buffer(binary, document["accessors"], document["bufferViews"])
+
+
+def _own_meshes(document: Record, nodes: Sequence[BakedNode]) -> list[Record]:
+    """Return the mesh of each node, a copy if other nodes show it, too."""
+    meshes = []
+    for each in nodes:
+        node = document["nodes"][each.node]
+        if sum(other.get("mesh") == node["mesh"] for other in document["nodes"]) > 1:
+            document["meshes"].append(copy.deepcopy(document["meshes"][node["mesh"]]))
+            node["mesh"] = len(document["meshes"]) - 1
+        meshes.append(document["meshes"][node["mesh"]])
+    return meshes
+
+
+def _refuse_earlier_export(mesh: Record, user: str | os.PathLike[str]) -> None:
+    """Raise MeshError if a mesh has attributes of an earlier export, or extras that cannot take a key."""
+    if any(name.startswith("_PRT_") for one in mesh["primitives"] for name in one["attributes"]):
+        raise MeshError(f"{user}: has the attributes _PRT_… of an earlier export; export onto the file as it was before")
+    if not isinstance(mesh.get("extras", {}), dict):
+        raise MeshError(f"{user}: meshes: expected extras with keys, found {mesh['extras']!r:.80}; export it without")
+
+
+def _texel_set(primitives: Sequence[Record]) -> int:
+    """Return the first set of texture coordinates, from 1 on, that no primitive has."""
+    return max(1, *(sum(name.startswith("TEXCOORD_") for name in one["attributes"]) for one in primitives))
