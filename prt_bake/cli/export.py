@@ -67,6 +67,14 @@ def export(
             show_default=False,
         ),
     ] = None,
+    onto: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="USER.glb",
+            help="The glTF file that was baked: OUT is this file with its materials and nodes, and the attributes.",
+            show_default=False,
+        ),
+    ] = None,
     mend: Mend = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the folder of a site.")] = False,
 ) -> None:
@@ -77,7 +85,7 @@ def export(
     constant white environment.
     """
     others = [each for each in source if each.suffix.lower() != ".glb"]
-    refuse_other_kinds({"SOURCE": (others, ("asset", "scene")), "--light": (light, LIGHT)})
+    refuse_other_kinds({"SOURCE": (others, ("asset", "scene")), "--light": (light, LIGHT), "--onto": (onto, ("mesh",))})
     target = _target(source, output, to)
     _refuse_ineffective(context, target)
     if target == "mitsuba":
@@ -85,14 +93,14 @@ def export(
     elif target == "site":
         _to_site(source, output, light or [], mend, force)
     else:
-        check_outputs({"--output": output}, {"SOURCE": source, "--light": light})
+        check_outputs({"--output": output}, {"SOURCE": source, "--light": light, "--onto": onto})
         from formats.asset import read_asset
         from prt_bake.export.gltf import prepare_export, write_gltf
 
         asset = read_asset(source[0])
         stated = _stated(asset, light or [], mend)
         exported = prepare_export(asset, degree, error, quantize, stated, folded=bool(light))
-        write_gltf(asset, output, exported)
+        write_gltf(asset, output, exported, onto)
         _print_error(source[0], output, exported)
 
 
@@ -115,7 +123,7 @@ def _target(source: list[Path], output: Path, to: Target | None) -> Target:
 
 def _refuse_ineffective(context: typer.Context, target: Target) -> None:
     """Refuse options that another target has."""
-    of_files, of_lights = ("degree", "error", "quantize"), ("light", "mend")
+    of_files, of_lights = ("degree", "error", "quantize", "onto"), ("light", "mend")
     ineffective = {"glb": ("force",), "site": of_files, "mitsuba": (*of_files, *of_lights, "force")}[target]
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")

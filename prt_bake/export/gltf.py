@@ -1,7 +1,7 @@
 """Assets as binary glTF: the engine form as custom attributes `_PRT_r_k` of the vertices."""
 
 import os
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,11 +10,12 @@ from formats.asset import Asset
 from formats.errors import QueryError, refuse_path
 from formats.scene.units import MILLIMETRES
 from formats.version import program_version
+from prt_bake.export.attributes import Exported, prt_attributes, vertex_colours
 from prt_bake.export.engine_errors import FormError, degree_for, form_error
-from prt_bake.export.engine_form import DEFAULT_DEGREE, EngineForm, blocks, engine_form
+from prt_bake.export.engine_form import DEFAULT_DEGREE, engine_form
 from prt_bake.export.extras import StatedLight, extras, texel_coordinates
 from prt_bake.export.glb import Buffer, write_glb
-from prt_bake.export.quantization import Quantized, dequantized, quantized
+from prt_bake.export.quantization import dequantized, quantized
 from prt_bake.lights.environment import project, read_environment
 from prt_bake.shading.vertices import light_coefficients
 from prt_bake.shipped.examples import example
@@ -22,19 +23,8 @@ from prt_bake.shipped.examples import example
 Array = NDArray[np.float64]
 
 SKY = "sky.hdr"
-_BRIGHT = 99.0
-"""Percentile of the vertex colours' radiance that is shown as white."""
 _TURN_Z_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
 """Quaternion from z up to y up, as in glTF."""
-
-
-class Exported(NamedTuple):
-    """What is written: the engine form as a reader finds it, its codes if it is quantised, its error, its JSON."""
-
-    form: EngineForm
-    codes: Quantized | None
-    error: FormError
-    extras: dict[str, Any]
 
 
 def export_gltf(
@@ -109,7 +99,7 @@ def write_gltf(
 ) -> None:
     """Write a prepared export, alone or onto a file of the user."""
     if onto is not None:
-        from prt_bake.export.onto import write_onto  # here, since it loads pydantic, and takes attributes from above
+        from prt_bake.export.onto import write_onto  # here, since pydantic takes long to load
 
         write_onto(asset, onto, path, exported)
         return
@@ -143,32 +133,6 @@ def write_gltf(
         "meshes": [{"name": "prtbake", "primitives": [primitive], "extras": {"prtbake": entries}}],
     }
     write_glb(path, document, buffer)
-
-
-def prt_attributes(
-    buffer: Buffer, exported: Exported, vertices: NDArray[np.integer] | slice = slice(None)
-) -> dict[str, int]:
-    """Add the attributes of the engine form to a buffer, of all or of some vertices, and return their accessors."""
-    codes, form = exported.codes, exported.form
-    stored: Any = form.coefficients if codes is None else codes.codes
-    name = str(exported.extras["attributes"])
-    return {
-        name.format(r=r, k=k): buffer.add_vertices(stored[vertices, r, k], normalised=codes is not None)
-        for r in range(stored.shape[1])
-        for k in range(stored.shape[2])
-    }
-
-
-def vertex_colours(asset: Asset, light: Array) -> tuple[NDArray[np.float32], float]:
-    """Colours [V,3] in [0,1], the mean over the view of the radiance under a light [K,3], and their scale."""
-    weights = np.ones((1, 3)) if asset.quantity == "radiance" else light
-    means = np.zeros((len(asset.valid), 3))
-    for part, block in blocks(asset):
-        means[part] = np.einsum("nkc,kc->nc", block.mean(axis=1, dtype=np.float64), weights)
-    means = np.maximum(means, 0.0)
-    brightest = float(np.percentile(means[asset.valid], _BRIGHT))
-    scale = 1.0 / brightest if brightest > 0.0 else 1.0
-    return np.minimum(scale * means, 1.0).astype(np.float32), scale
 
 
 def _default_light(asset: Asset) -> StatedLight:

@@ -16,10 +16,10 @@ import numpy as np
 from formats.asset import Asset
 from formats.errors import MeshError
 from formats.mesh.gltf.container import open_gltf
+from prt_bake.export.attributes import Exported, prt_attributes, vertex_colours
 from prt_bake.export.baked_nodes import BakedNode, baked_nodes
 from prt_bake.export.extras import selftest, texel_coordinates
 from prt_bake.export.glb import Buffer, write_glb
-from prt_bake.export.gltf import Exported, prt_attributes, vertex_colours
 
 Record = dict[str, Any]
 
@@ -103,11 +103,14 @@ def _own_meshes(document: Record, nodes: Sequence[BakedNode]) -> list[Record]:
 def _refuse_earlier_export(mesh: Record, user: str | os.PathLike[str]) -> None:
     """Raise MeshError if a mesh has attributes of an earlier export, or extras that cannot take a key."""
     if any(name.startswith("_PRT_") for one in mesh["primitives"] for name in one["attributes"]):
-        raise MeshError(f"{user}: has the attributes _PRT_… of an earlier export; export onto the file as it was before")
+        raise MeshError(
+            f"{user}: has the attributes _PRT_… of an earlier export; export onto the file as it was before"
+        )
     if not isinstance(mesh.get("extras", {}), dict):
         raise MeshError(f"{user}: meshes: expected extras with keys, found {mesh['extras']!r:.80}; export it without")
 
 
 def _texel_set(primitives: Sequence[Record]) -> int:
     """Return the first set of texture coordinates, from 1 on, that no primitive has."""
-    return max(1, *(sum(name.startswith("TEXCOORD_") for name in one["attributes"]) for one in primitives))
+    sets: list[int] = [sum(name.startswith("TEXCOORD_") for name in one["attributes"]) for one in primitives]
+    return max(1, *sets)

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+import prt_bake as prt
 from formats.errors import InputWarning, MeshError
 from formats.mesh import Mesh, read_mesh
 from formats.mesh.gltf.accessors import Accessors
 from formats.mesh.gltf.container import open_gltf
-from prt_bake.export.onto import write_onto
+from prt_bake.export.engine_form import engine_form
+from tests.export.assets import smooth_asset
 from tests.formats.mesh.gltf_files import GltfBuilder
 from tests.formats.mesh.test_mesh import sphere_mesh
 
@@ -49,10 +51,11 @@ def textured() -> GltfBuilder:
 
 
 class Exported:
-    """A file after the export, and the baked mesh."""
+    """A file after the export, and the baked mesh with its engine form."""
 
-    def __init__(self, path: Path, mesh: Mesh) -> None:
-        self.mesh, self.file = mesh, open_gltf(path)
+    def __init__(self, path: Path, asset: prt.Asset) -> None:
+        self.mesh, self.file = asset.mesh, open_gltf(path)
+        self.form = engine_form(asset, 1).coefficients
         content = path.read_bytes()
         (length,) = struct.unpack_from("<I", content, 12)
         self.json = json.loads(content[20 : 20 + length])
@@ -72,26 +75,12 @@ class Exported:
         return (row * size["width"] + column).astype(int)
 
 
-def columns(mesh: Mesh) -> dict[str, Any]:
-    """Attributes that differ at every vertex: the positions, and a number per vertex."""
-    number = np.arange(len(mesh.positions))
-    return {
-        "_PRT_0_0": mesh.positions.astype(np.float32),
-        "_PRT_0_1": np.stack([number, number % 7, -number], axis=1).astype(np.float32),
-    }
-
-
-def export(user: Path, attributes: dict[str, Any] | None = None, mesh: Mesh | None = None) -> Exported:
-    """Bake nothing: export the numbers of `columns` onto a file, as of the mesh that `read_mesh` reads in it."""
-    mesh = mesh or read_mesh(user)
-    count, width = len(mesh.positions), 16
-    extras = {"version": "1.0", "texels": {"width": width, "height": -(-count // width)}}
-    colours = np.linspace(0, 1, 3 * count, dtype=np.float32).reshape(-1, 3)
+def export(user: Path, mesh: Mesh | None = None, **options: Any) -> Exported:
+    """Export an asset of a mesh, by default that of the file itself, onto a file."""
+    asset = smooth_asset(mesh or read_mesh(user))
     path = user.with_name("exported.glb")
-    write_onto(
-        user, path, mesh, attributes or columns(mesh), colours, lambda used: {**extras, "vertices_here": used.tolist()}
-    )
-    return Exported(path, mesh)
+    prt.export_gltf(asset, path, degree=1, onto=user, **options)
+    return Exported(path, asset)
 
 
 def test_each_vertex_gets_the_numbers_at_its_place(tmp_path: Path) -> None:
@@ -102,9 +91,9 @@ def test_each_vertex_gets_the_numbers_at_its_place(tmp_path: Path) -> None:
         place = 2 * found.read(0, primitive, "POSITION") @ matrix.T + (3.0, -1.0, 0.5)
         vertices = found.vertices(0, primitive)
         assert np.allclose(found.mesh.positions[vertices], place, atol=1e-6)
-        assert np.array_equal(found.read(0, primitive, "_PRT_0_1"), columns(found.mesh)["_PRT_0_1"][vertices])
+        for r, k in ((0, 0), (3, 8)):
+            assert np.array_equal(found.read(0, primitive, f"_PRT_{r}_{k}"), found.form[vertices, r, k])
         assert len(np.unique(vertices[seen])) > 40
-    assert found.extras()["vertices_here"] == list(range(len(found.mesh.positions)))
     assert found.extras()["texel_attribute"] == "TEXCOORD_1"
 
 
@@ -116,7 +105,7 @@ def test_the_file_keeps_all_it_had(tmp_path: Path) -> None:
     after = found.json
     assert after["meshes"][0]["extras"].pop("prtbake")
     for primitive in after["meshes"][0]["primitives"]:
-        for name in ("_PRT_0_0", "_PRT_0_1", "COLOR_0", "TEXCOORD_1"):
+        for name in (*(f"_PRT_{r}_{k}" for r in range(4) for k in range(9)), "COLOR_0", "TEXCOORD_1"):
             assert primitive["attributes"].pop(name) >= len(before["accessors"])
     for name in ("accessors", "bufferViews"):
         after[name] = after[name][: len(before[name])]
@@ -138,7 +127,7 @@ def test_sets_and_colours_of_the_user_stay(tmp_path: Path) -> None:
     for primitive, shift in ((0, 0), (1, 3)):
         vertices = found.vertices(0, primitive, "TEXCOORD_2")
         assert np.allclose(found.mesh.positions[vertices], ball.positions + np.array([shift, 0, 0]))
-    assert len(found.json["accessors"]) - len(user.json["accessors"]) == 3 + 4  # no colours for the first primitive
+    assert len(found.json["accessors"]) - len(user.json["accessors"]) == 37 + 38  # no colours for the first primitive
 
 
 def test_a_mesh_that_several_nodes_show_is_copied(tmp_path: Path) -> None:
@@ -154,7 +143,7 @@ def test_a_mesh_that_several_nodes_show_is_copied(tmp_path: Path) -> None:
         assert np.array_equal(np.reshape(found.extras(mesh)["local_to_object"], (3, 3)), mirrored)
         place = found.read(mesh, 0, "POSITION") @ mirrored + (5 * (mesh - 1), 0, 0)
         assert np.allclose(found.mesh.positions[found.vertices(mesh, 0)], place)
-        assert len(found.extras(mesh)["vertices_here"]) == len(ball.positions)
+        assert set(found.extras(mesh)["selftest"]["vertex"]) <= set(found.vertices(mesh, 0))
         assert found.json["meshes"][mesh]["extras"]["artist"] == "A"
 
 
@@ -165,7 +154,7 @@ def test_other_objects_stay_as_they_are(tmp_path: Path) -> None:
     floor = [[-9, -2, -9], [9, -2, -9], [0, -2, 9]]
     user.node(mesh=user.mesh(user.solid(floor, [[0, 1, 2]]), extras="text"), name="Floor")
     with pytest.warns(InputWarning, match=r"1 objects? .* as they are: nodes\[1\] \('Floor'\)"):
-        found = export(user.write(tmp_path / "user.glb"), mesh=baked)
+        found = export(user.write(tmp_path / "user.glb"), baked)
     assert found.json["meshes"][1] == user.json["meshes"][1]
     assert "_PRT_0_0" in found.json["meshes"][0]["primitives"][0]["attributes"]
 
@@ -178,19 +167,17 @@ def test_sides_of_a_sheet_are_not_exchanged(tmp_path: Path) -> None:
     baked = read_mesh(user.write(tmp_path / "sheet.glb"))
     other = GltfBuilder()  # of coordinates that were rounded by another program
     other.node(mesh=other.mesh(other.solid(positions.round(4) - np.array([0, 0, 5e-5]), faces)))
-    found = export(other.write(tmp_path / "user.glb"), mesh=baked)
+    found = export(other.write(tmp_path / "user.glb"), baked)
     assert found.vertices(0, 0).tolist() == list(range(8))
 
 
 def test_bytes_are_padded(tmp_path: Path) -> None:
-    path = textured().write(tmp_path / "user.glb")
-    mesh = read_mesh(path)
-    stored = np.random.default_rng(1).integers(-127, 128, (len(mesh.positions), 3)).astype(np.int8)
-    found = export(path, {"_PRT_0_0": stored}, mesh)
+    found = export(textured().write(tmp_path / "user.glb"), quantize="int8")
     accessor = found.json["accessors"][found.json["meshes"][0]["primitives"][0]["attributes"]["_PRT_0_0"]]
     assert (accessor["componentType"], accessor["normalized"]) == (5120, True)
     assert found.json["bufferViews"][accessor["bufferView"]]["byteStride"] == 4
-    assert np.allclose(found.read(0, 1, "_PRT_0_0"), stored[found.vertices(0, 1)] / 127.0)
+    read = found.read(0, 1, "_PRT_0_0") * found.extras()["scales"][0][0]
+    assert np.allclose(read, found.form[found.vertices(0, 1), 0, 0], atol=0.004 * np.abs(read).max())
 
 
 def _moved(user: GltfBuilder) -> None:
@@ -238,6 +225,10 @@ def _picture_beside(user: GltfBuilder) -> None:
     user.json["images"] = [{"uri": "wood.png"}]
 
 
+def _two_buffers(user: GltfBuilder) -> None:
+    user.json["buffers"] = [{"byteLength": len(user.data)}, {"byteLength": 1, "uri": "data:;base64,AA=="}]
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -252,6 +243,7 @@ def _picture_beside(user: GltfBuilder) -> None:
         ),
         (_exported_before, r"has the attributes _PRT_… of an earlier export; export onto the file as it was before"),
         (_extras_of_text, r"meshes: expected extras with keys, found 'made by hand'; export it without"),
+        (_two_buffers, r"buffers: expected the binary chunk alone, found others; export it as one .glb file"),
         (_picture_beside, r"images\[0\]: is in another file, 'wood.png'; export it as one .glb file"),
     ],
 )
@@ -262,7 +254,7 @@ def test_what_does_not_fit_is_refused_in_one_sentence(change: Any, says: str, tm
     change(user)
     path = user.write(tmp_path / "user.glb")
     with pytest.raises(MeshError, match=rf"^{path}: {says}") as caught:
-        export(path, mesh=baked)
+        export(path, baked)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "exported.glb").exists()
 
