@@ -157,7 +157,6 @@ def hlsl_job(scene: Scene, folder: Path) -> dict[str, Any]:
     compile_hlsl(folder / "example.hlsl", "vert", folder / "example.spv")
     command = [program("spirv-cross", "spirv-cross"), "example.spv", "--es", "--version", "300"]
     shader = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout
-    height, width, _ = scene.texels.shape
     row = np.zeros((4 + scene.K, 4))  # float3 of a constant buffer, 16 bytes apart
     row[:, :3] = [scene.eye, scene.sun, scene.irradiance, scene.constant, *scene.sky]
     block = [*scene.object_to_world.T.ravel(), *np.eye(4).ravel(), *row.ravel()]
