@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from formats.errors import QueryError
+from prt_bake.cli.shared.ineffective import refuse_ineffective
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.next_step import say_next
+from prt_bake.cli.shared.options import Force
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
 
@@ -16,15 +18,22 @@ if TYPE_CHECKING:
     from formats.asset import Asset
     from prt_bake.export.extras import StatedLight
 
-Target = Literal["glb", "mitsuba"]
+Target = Literal["glb", "site", "mitsuba"]
 _HIGH_ERROR = 0.05
 """From this error of the coefficients on, the command names the option that lowers it."""
 
 
 def export(
-    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Asset, or scene.")],
+    context: typer.Context,
+    sources: Annotated[
+        list[Path],
+        typer.Argument(metavar="SOURCE...", help="Asset, or scene; for a page one or several assets and .glb files."),
+    ],
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="OUT", help="X.glb; or for a scene a folder.", show_default=False)
+        Path,
+        typer.Option(
+            "--output", "-o", metavar="OUT", help="X.glb; or a folder: of a page, or of a scene.", show_default=False
+        ),
     ],
     to: Annotated[
         Target | None, typer.Option(help="What to write; by default SOURCE and OUT decide.", show_default=False)
@@ -48,20 +57,33 @@ def export(
         typer.Option(
             "--light",
             metavar="LIGHT",
-            help="Fold this light in, as for `prtbake shade`: a ninth of the size, for this light alone.",
+            help="Fold this light in, as for `prtbake shade`: a ninth of the size, for this light alone. On a page: a "
+            "light to choose, by default the shipped sky. Can be repeated.",
             show_default=False,
         ),
     ] = None,
+    force: Force = False,
 ) -> None:
-    """Write an asset for engines, or a scene for Mitsuba 3.
+    """Write an asset for engines or for the web, or a scene for Mitsuba 3.
 
-    An asset becomes X.glb: a glTF file whose vertices carry the transport, in harmonics of the view and of the light. A
-    scene becomes a folder for Mitsuba 3, lit by a constant white environment.
+    An asset becomes X.glb: a glTF file whose vertices carry the transport, in harmonics of the view and of the light.
+    For a folder, assets become a page that any web server shows. A scene becomes a folder for Mitsuba 3, lit by a
+    constant white environment.
     """
-    refuse_other_kinds({"SOURCE": (source, ("asset", "scene")), "--light": (light, LIGHT)})
+    source = sources[0]
     from prt_bake.inspection.files import kind_of
 
     kind = kind_of(source)
+    is_folder = output.is_dir() or not output.suffix
+    if to == "site" or (to is None and kind in ("asset", "mesh") and is_folder):
+        refuse_ineffective(
+            context, ("sources", "output", "to", "light", "force"), "on a page, which shows assets as they are"
+        )
+        _to_site(sources, output, light or [], force)
+        return
+    if len(sources) > 1:
+        raise typer.BadParameter(f"{sources[1]}: only a page takes several assets; export one after another")
+    refuse_other_kinds({"SOURCE": (source, ("asset", "scene")), "--light": (light, LIGHT)})
     target = to or ("mitsuba" if kind == "scene" else "glb")
     _refuse_other_target(source, kind, target, output)
     if target == "mitsuba":
@@ -82,7 +104,20 @@ def _refuse_other_target(source: Path, kind: str, target: Target, output: Path) 
         fitting = "mitsuba" if kind == "scene" else "glb"
         raise QueryError(f"{source}: expected --to {fitting} for {kind} files, found --to {target}")
     if target == "glb" and output.suffix.lower() != ".glb":
-        raise QueryError(f"{output}: expected a name that ends in .glb; give -o {output.with_suffix('.glb')}")
+        raise QueryError(
+            f"{output}: expected a name that ends in .glb, or a folder; give -o {output.with_suffix('.glb')}, or "
+            "--to site for a page"
+        )
+
+
+def _to_site(sources: list[Path], folder: Path, lights: list[str], force: bool) -> None:
+    assets = [source for source in sources if source.suffix.lower() != ".glb"]
+    refuse_other_kinds({"SOURCE": (assets, ("asset",)), "--light": (lights, LIGHT)})
+    from prt_bake.export.site import export_site
+
+    size = export_site(sources, folder, lights, force=force, say=say)
+    print(f"{folder}: a page of {size / 1e6:.1f} MB, for any web server")
+    say_next("python3", "-m", "http.server", "--directory", folder)
 
 
 def _to_mitsuba(scene: Path, folder: Path) -> None:
