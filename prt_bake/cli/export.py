@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from formats.errors import QueryError
+from prt_bake.cli.shared.ineffective import refuse_ineffective
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.next_step import say_next
 from prt_bake.cli.shared.options import Mend, within
@@ -25,6 +26,13 @@ _FITTING: dict[Target, tuple[str, ...]] = {
     "mitsuba": ("scene",),
 }
 """The kinds of files that can become each target; a mesh here is the .glb of an asset."""
+_ALWAYS = ("source", "output", "to")
+_EFFECTIVE: dict[Target, tuple[str, ...]] = {
+    "glb": (*_ALWAYS, "degree", "error", "quantize", "light", "mend", "onto"),
+    "site": (*_ALWAYS, "light", "mend", "force"),
+    "mitsuba": _ALWAYS,
+}
+"""The options that each target takes."""
 _HIGH_ERROR = 0.05
 """From this error of the coefficients on, the command names the option that lowers it."""
 
@@ -87,7 +95,7 @@ def export(
     others = [each for each in source if each.suffix.lower() != ".glb"]
     refuse_other_kinds({"SOURCE": (others, ("asset", "scene")), "--light": (light, LIGHT), "--onto": (onto, ("mesh",))})
     target = _target(source, output, to)
-    _refuse_ineffective(context, target)
+    refuse_ineffective(context, _EFFECTIVE[target], f"on --to {target}")
     if target == "mitsuba":
         _to_mitsuba(source[0], output)
     elif target == "site":
@@ -109,6 +117,8 @@ def _target(source: list[Path], output: Path, to: Target | None) -> Target:
     from prt_bake.inspection.files import kind_of
 
     kinds = [kind_of(each) for each in source]
+    if to is None and output.suffix.lower() not in ("", *_SUFFIXES) and not output.is_dir():
+        raise QueryError(f"{output}: expected a name that ends in .glb, or a folder (--to site if this is one)")
     target: Target = to or ("mitsuba" if kinds[0] == "scene" else _SUFFIXES.get(output.suffix.lower(), "site"))
     for each, kind in zip(source, kinds, strict=True):
         if kind not in _FITTING[target]:
@@ -119,16 +129,6 @@ def _target(source: list[Path], output: Path, to: Target | None) -> Target:
     if target == "glb" and output.suffix.lower() != ".glb":
         raise QueryError(f"{output}: expected a name that ends in .glb; give -o {output.with_suffix('.glb')}")
     return target
-
-
-def _refuse_ineffective(context: typer.Context, target: Target) -> None:
-    """Refuse options that another target has."""
-    of_files, of_lights = ("degree", "error", "quantize", "onto"), ("light", "mend")
-    ineffective = {"glb": ("force",), "site": of_files, "mitsuba": (*of_files, *of_lights, "force")}[target]
-    for parameter in context.command.params:
-        source = context.get_parameter_source(parameter.name or "")
-        if source is not None and source.name == "COMMANDLINE" and parameter.name in ineffective:
-            raise typer.BadParameter(f"{parameter.opts[0]}: has no effect on --to {target}; omit it")
 
 
 def _to_site(assets: list[Path], folder: Path, lights: list[str], mend: bool, force: bool) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import typer
 
 from prt_bake.cli.shared import signals
+from prt_bake.cli.shared.ineffective import refuse_ineffective
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.progress import say
 
@@ -17,10 +18,7 @@ def view_in_browser(context: typer.Context, asset: Path, lights: list[str] | Non
 
     Raises typer.BadParameter for options of the window, and what `site_files` and `show_page` raise.
     """
-    for parameter in context.command.params:
-        source = context.get_parameter_source(parameter.name or "")
-        if source is not None and source.name == "COMMANDLINE" and parameter.name not in _EFFECTIVE:
-            raise typer.BadParameter(f"{parameter.opts[0]}: has no effect on the page of --browser; omit it")
+    refuse_ineffective(context, _EFFECTIVE, "on the page of --browser")
     kinds = ("mesh",) if asset.suffix.lower() == ".glb" else ("asset",)
     refuse_other_kinds({"ASSET": (asset, kinds), "--light": (lights, LIGHT)})
     from prt_bake.export.server import show_page

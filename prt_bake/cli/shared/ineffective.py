@@ -1,0 +1,16 @@
+"""Options that have no effect with others are refused, so that nobody waits for what they ask for."""
+
+from collections.abc import Collection
+
+import typer
+
+
+def refuse_ineffective(context: typer.Context, effective: Collection[str], where: str) -> None:
+    """Refuse an option of the command line whose parameter is not among the `effective` ones.
+
+    Raises typer.BadParameter that names the option and `where` it has no effect, such as "on a page".
+    """
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        if source is not None and source.name == "COMMANDLINE" and parameter.name not in effective:
+            raise typer.BadParameter(f"{parameter.opts[0]}: has no effect {where}; omit it")
