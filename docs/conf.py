@@ -1,7 +1,7 @@
 """Settings of the documentation site: `make docs` builds it into `docs/build/html`, without a network connection.
 
-Pages are MyST Markdown. Two parts are made at every build: the reference of all commands, from the command line itself,
-and the lessons, which are the notebooks with their stored outputs.
+Pages are MyST Markdown. Three parts are made at every build: the reference of all commands, from the command line
+itself; the lessons, which are the notebooks with their stored outputs; the gallery's live page.
 """
 
 import shutil
@@ -11,7 +11,7 @@ from pathlib import Path
 from sphinx.application import Sphinx
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))  # for the two modules beside this file
+sys.path.insert(0, str(HERE))  # for the modules beside this file
 
 project = "prtbake"
 author = "the prtbake authors"
@@ -59,9 +59,11 @@ def copy_lessons() -> None:
 
 
 def setup(app: Sphinx) -> None:
-    """Make the generated pages, and read docstrings."""
+    """Make the generated pages, read docstrings, and add the gallery's live page."""
     write_commands()
     copy_lessons()
     import docstrings
+    import live_page
 
     docstrings.connect(app)
+    live_page.connect(app)

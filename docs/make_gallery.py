@@ -2,13 +2,15 @@
 
     python docs/make_gallery.py [--quick] [--work bench/gallery] [--out docs]
 
-Reads `docs/gallery/gallery.toml`. Writes `gallery.md`, and into `gallery/` a strip of four pictures for each scene and
-`figures.json`. Assets and path-traced pictures stay in the folder of `--work`: a second run repeats only what is
-missing or has other inputs. `--quick` makes one scene, tiny and coarse.
+Reads `docs/gallery/gallery.toml`. Writes `gallery.md`, and into `gallery/` a strip of four pictures for each scene,
+`figures.json`, and in `live/` a small asset of each for the page in the browser. Large assets and path-traced pictures
+stay in the folder of `--work`: a second run repeats only what is missing or has other inputs. `--quick` makes one
+scene, tiny and coarse.
 """
 
 import argparse
 import os
+import shutil
 import textwrap
 import time
 import tomllib
@@ -22,6 +24,7 @@ from PIL import Image
 import prt_bake as prt
 from formats.atomic import sha256
 from formats.json_report import write_report
+from prt_bake.baking.compress import compress_file
 from prt_bake.cli.shared.progress import say
 from prt_bake.comparison.noise import PixelErrors
 from prt_bake.comparison.noise_free import compare_without_noise
@@ -73,6 +76,16 @@ class Subject:
 
         made = self.files.make(f"{self.name}.h5", {"model": sha256(model), "bake": options}, timed(bake))
         return prt.read_asset(made.path), made.facts
+
+    def write_live(self, error: float, path: Path) -> None:
+        """Write the asset of the live page: compact, and without lobes, which that page does not show."""
+        large = self.files.folder / f"{self.name}.h5"
+
+        def compress(compact: Path) -> None:
+            compress_file(large, compact, error, lobes=False)
+
+        inputs = {"asset": sha256(large), "error": error}
+        shutil.copy(self.files.make(f"{self.name}.live.h5", inputs, timed(compress)).path, path)
 
     def traced(self, name: str, lights: list[str], light: prt.Lighting) -> tuple[Any, Facts]:
         """The path-traced picture with its layers, and the facts of its rendering. Unscattered light is left out."""
@@ -148,10 +161,12 @@ def main() -> None:
     settings = tomllib.loads((ROOT / "docs" / "gallery" / "gallery.toml").read_text(encoding="utf-8"))
     files, quality = Artefacts(args.work, say), settings["quick" if args.quick else "quality"]
     folder, made = args.out / "gallery", []
-    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "live").mkdir(parents=True, exist_ok=True)
     for entry in settings["scene"][1:2] if args.quick else settings["scene"]:
         strip = folder / f"{entry['name']}.webp"
-        made.append(Subject(entry, files, quality).compare(settings["lights"], strip))
+        subject = Subject(entry, files, quality)
+        made.append(subject.compare(settings["lights"], strip))
+        subject.write_live(settings["live"]["error"], folder / "live" / f"{entry['name']}.h5")
         write_report({"scenes": made}, folder / "figures.json")
         say(f"{strip}: written")
     head = (ROOT / "docs" / "gallery" / "head.txt").read_text(encoding="utf-8")

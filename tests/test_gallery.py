@@ -8,8 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from docs.live_page import marked, write_live
 from docs.make_gallery import section
+from prt_bake.inspection.files import find_faults
 from tests import ROOT
+from tests.export.conftest import small_page
 
 SCRIPT, GALLERY = ROOT / "docs" / "make_gallery.py", ROOT / "docs" / "gallery"
 
@@ -25,6 +28,32 @@ def test_the_page_is_what_the_script_writes() -> None:
         assert (GALLERY / f"{each['name']}.webp").stat().st_size < 400_000
 
 
+def test_assets_of_the_live_page_are_small_and_sound() -> None:
+    live = sorted((GALLERY / "live").iterdir())
+    scenes = tomllib.loads((GALLERY / "gallery.toml").read_text(encoding="utf-8"))["scene"]
+    assert {path.stem for path in live} <= {each["name"] for each in scenes}
+    assert "spot.h5" in [path.name for path in live]
+    assert max(path.stat().st_size for path in live) <= 1 << 20
+    assert sum(path.stat().st_size for path in live) <= 5 << 20
+    assert [fault for path in live for fault in find_faults(path)] == []
+
+
+def test_the_live_page_shows_them_under_its_lights(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = small_page(tmp_path, monkeypatch)
+    assert write_live(tmp_path / "live")
+    described = json.loads((tmp_path / "live" / "site.json").read_text(encoding="utf-8"))
+    assert described["objects"][0] == {"name": "Spot in marble", "file": "Spot_in_marble.h5"}
+    assert len(described["objects"]) == len(list((GALLERY / "live").iterdir()))
+    assert len(described["lights"]) == 3
+    (page / "vendor" / "VERSIONS").unlink()
+    assert not write_live(tmp_path / "live")
+    assert not (tmp_path / "live").exists()
+    assert "run `make site`" in capsys.readouterr().err
+    assert marked() == ["gallery", "index"]
+
+
 @pytest.mark.statistics
 def test_a_quick_gallery_is_made_once(tmp_path: Path) -> None:
     command = [sys.executable, str(SCRIPT), "--quick", "--work", str(tmp_path / "work"), "--out", str(tmp_path)]
@@ -32,5 +61,6 @@ def test_a_quick_gallery_is_made_once(tmp_path: Path) -> None:
     assert "grape.h5: building" in first.stderr
     assert "## Grape" in (tmp_path / "gallery.md").read_text(encoding="utf-8")
     assert (tmp_path / "gallery" / "grape.webp").is_file()
+    assert (tmp_path / "gallery" / "live" / "grape.h5").is_file()
     again = subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT)
     assert "building" not in again.stderr
