@@ -211,7 +211,7 @@ def test_the_wheel_and_the_export_carry_the_same_files() -> None:
     if (site.PAGE / "vendor").exists():
         vendored = {path for path in packed if path.is_file() and site.PAGE / "vendor" in path.parents}
         names = {path.relative_to(site.PAGE / "vendor").as_posix() for path in vendored}
-        assert names == {*package["vendor"], "VERSIONS"}
+        assert names == {*package["vendor"], "VERSIONS"}, "`make site` brings the packages that package.json names now"
         assert {path for path in packed if path.is_file()} == {path for _, path in site._page_files()}
     assert {"three/LICENSE", "h5wasm/LICENSE.txt"} <= package["vendor"].keys()
     lock = json.loads((site.PAGE / "package-lock.json").read_text())["packages"]
