@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from prt_bake.baking.compress import compress, unpacked
     from prt_bake.baking.lobes.addition import add_lobes
     from prt_bake.comparison.metrics import compare
+    from prt_bake.export.exr import export_exr
     from prt_bake.export.gltf import export_gltf
     from prt_bake.export.mitsuba import mitsuba_dictionary
     from prt_bake.geometry.camera import Camera
@@ -84,6 +85,7 @@ __all__ = [
     "estimate_coefficients",
     "estimate_transport",
     "example",
+    "export_exr",
     "export_gltf",
     "fit_camera",
     "light_for",
@@ -145,6 +147,7 @@ _ORIGIN = {
     "estimate_coefficients": ("prt_bake.tracer.estimate", "estimate_coefficients"),
     "estimate_transport": ("prt_bake.tracer.estimate", "estimate_transport"),
     "example": ("prt_bake.shipped.examples", "example"),
+    "export_exr": ("prt_bake.export.exr", "export_exr"),
     "export_gltf": ("prt_bake.export.gltf", "export_gltf"),
     "fit_camera": ("prt_bake.geometry.camera", "fit"),
     "light_for": ("prt_bake.shading.asset_light", "light_for"),

@@ -143,8 +143,6 @@ def write_exr(
     Raises:
         OSError: the disk is full or fails.
     """
-    import OpenEXR
-
     # OpenEXR silently writes wrong pixels if an array is not contiguous, and changes the header that it is given.
     channels = {"RGB": np.ascontiguousarray(image, np.float32)}
     if alpha is not None:
@@ -155,7 +153,21 @@ def write_exr(
                 channels[f"{name}.{letter}"] = np.ascontiguousarray(pixels[..., axis], np.float32)
         else:
             channels[name if np.ndim(pixels) == 3 else f"{name}.Y"] = np.ascontiguousarray(pixels, np.float32)
-    header = {**(attributes or {}), "compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    _write(path, channels, attributes or {})
+
+
+def write_exr_halves(path: str | os.PathLike[str], numbers: NDArray[np.float16]) -> None:
+    """Write numbers [H,W,3], bit for bit, as the half floats R, G, B of scan lines with ZIP compression.
+
+    Raises OSError if the disk is full or fails.
+    """
+    _write(path, {"RGB": np.ascontiguousarray(numbers, np.float16)}, {})
+
+
+def _write(path: str | os.PathLike[str], channels: dict[str, NDArray[Any]], attributes: Mapping[str, str]) -> None:
+    import OpenEXR
+
+    header = {**attributes, "compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     try:
         with silenced():
             OpenEXR.File(header, channels).write(os.fspath(path))

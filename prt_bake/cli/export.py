@@ -18,10 +18,11 @@ if TYPE_CHECKING:
     from formats.asset import Asset
     from prt_bake.export.extras import StatedLight
 
-Target = Literal["glb", "site", "mitsuba"]
-_SUFFIXES: dict[str, Target] = {".glb": "glb"}
+Target = Literal["glb", "exr", "site", "mitsuba"]
+_SUFFIXES: dict[str, Target] = {".glb": "glb", ".exr": "exr"}
 _FITTING: dict[Target, tuple[str, ...]] = {
     "glb": ("asset",),
+    "exr": ("asset",),
     "site": ("asset", "mesh"),
     "mitsuba": ("scene",),
 }
@@ -29,6 +30,7 @@ _FITTING: dict[Target, tuple[str, ...]] = {
 _ALWAYS = ("source", "output", "to")
 _EFFECTIVE: dict[Target, tuple[str, ...]] = {
     "glb": (*_ALWAYS, "degree", "error", "quantize", "light", "mend", "onto"),
+    "exr": (*_ALWAYS, "degree", "error", "light", "mend"),
     "site": (*_ALWAYS, "light", "mend", "force"),
     "mitsuba": _ALWAYS,
 }
@@ -44,7 +46,9 @@ def export(
     ],
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", metavar="OUT", help="X.glb, or a folder: a site, for a scene that of Mitsuba."),
+        typer.Option(
+            "--output", "-o", metavar="OUT", help="X.glb, X.exr, or a folder: a site, for a scene that of Mitsuba."
+        ),
     ],
     to: Annotated[
         Target | None, typer.Option(help="What to write; by default OUT and SOURCE decide.", show_default=False)
@@ -88,9 +92,9 @@ def export(
 ) -> None:
     """Write an asset for engines and browsers, or a scene for Mitsuba 3.
 
-    X.glb is a glTF file whose vertices carry the transport, in harmonics of the view and of the light. A site is a
-    folder with a page that shows the asset, for any web server. A scene becomes a folder for Mitsuba 3, lit by a
-    constant white environment.
+    X.glb is a glTF file whose vertices carry the transport, in harmonics of the view and of the light. X.exr is the
+    same as a texture, with X.json and X.mesh.glb. A site is a folder with a page that shows the asset, for any web
+    server. A scene becomes a folder for Mitsuba 3, lit by a constant white environment.
     """
     others = [each for each in source if each.suffix.lower() != ".glb"]
     refuse_other_kinds({"SOURCE": (others, ("asset", "scene")), "--light": (light, LIGHT), "--onto": (onto, ("mesh",))})
@@ -101,15 +105,23 @@ def export(
     elif target == "site":
         _to_site(source, output, light or [], mend, force)
     else:
-        check_outputs({"--output": output}, {"SOURCE": source, "--light": light, "--onto": onto})
+        from prt_bake.export.exr import texture_files, write_textures
+
+        outputs = texture_files(output) if target == "exr" else (output,)
+        check_outputs({"--output": outputs}, {"SOURCE": source, "--light": light, "--onto": onto})
         from formats.asset import read_asset
         from prt_bake.export.gltf import prepare_export, write_gltf
 
         asset = read_asset(source[0])
         stated = _stated(asset, light or [], mend)
-        exported = prepare_export(asset, degree, error, quantize, stated, folded=bool(light))
-        write_gltf(asset, output, exported, onto)
+        exported = prepare_export(asset, degree, error, quantize, stated, bool(light), halves=target == "exr")
+        if target == "exr":
+            write_textures(asset, output, exported)
+        else:
+            write_gltf(asset, output, exported, onto)
         _print_error(source[0], output, exported)
+        if len(outputs) > 1:
+            print(f"beside it: {', '.join(path.name for path in outputs[1:])}")
 
 
 def _target(source: list[Path], output: Path, to: Target | None) -> Target:
@@ -118,7 +130,7 @@ def _target(source: list[Path], output: Path, to: Target | None) -> Target:
 
     kinds = [kind_of(each) for each in source]
     if to is None and output.suffix.lower() not in ("", *_SUFFIXES) and not output.is_dir():
-        raise QueryError(f"{output}: expected a name that ends in .glb, or a folder (--to site if this is one)")
+        raise QueryError(f"{output}: expected a name that ends in .glb or .exr, or a folder (--to site if this is one)")
     target: Target = to or ("mitsuba" if kinds[0] == "scene" else _SUFFIXES.get(output.suffix.lower(), "site"))
     for each, kind in zip(source, kinds, strict=True):
         if kind not in _FITTING[target]:
@@ -126,8 +138,9 @@ def _target(source: list[Path], output: Path, to: Target | None) -> Target:
             raise QueryError(f"{each}: --to {target} does not take this kind of file, {kind}; expected --to {fitting}")
     if target != "site" and len(source) > 1:
         raise QueryError(f"{output}: is made of one SOURCE, found {len(source)}; only a site shows several")
-    if target == "glb" and output.suffix.lower() != ".glb":
-        raise QueryError(f"{output}: expected a name that ends in .glb; give -o {output.with_suffix('.glb')}")
+    if target in _SUFFIXES.values() and _SUFFIXES.get(output.suffix.lower()) != target:
+        named = output.with_suffix(f".{target}")
+        raise QueryError(f"{output}: expected a name that ends in .{target}; give -o {named}")
     return target
 
 

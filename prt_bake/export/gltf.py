@@ -15,7 +15,7 @@ from prt_bake.export.engine_errors import FormError, degree_for, form_error
 from prt_bake.export.engine_form import DEFAULT_DEGREE, engine_form
 from prt_bake.export.extras import StatedLight, extras, texel_coordinates
 from prt_bake.export.glb import Buffer, write_glb
-from prt_bake.export.quantization import dequantized, quantized
+from prt_bake.export.quantization import dequantized, in_halves, quantized
 from prt_bake.lights.environment import project, read_environment
 from prt_bake.shading.vertices import light_coefficients
 from prt_bake.shipped.examples import example
@@ -72,9 +72,10 @@ def prepare_export(
     quantize: str | None,
     light: StatedLight | None,
     folded: bool,
+    halves: bool = False,
 ) -> Exported:
-    """Compute what `write_gltf` writes. light: of the vertex colours, by default the shipped sky, and of the form if
-    `folded`.
+    """Compute what `write_gltf` writes and, with `halves`, `write_textures`. light: of the vertex colours, by default
+    the shipped sky, and of the form if `folded`.
     """
     if degree is not None and error is not None:
         raise QueryError("degree and error: error chooses the degree; give one of them")
@@ -87,6 +88,7 @@ def prepare_export(
     form = engine_form(asset, DEFAULT_DEGREE if degree is None else degree, into)
     codes = quantized(form) if quantize else None
     form = form if codes is None else dequantized(form, codes)
+    form = in_halves(form) if halves else form
     measured = form_error(asset, form, light.coefficients, into)
     entries = extras(asset, form, measured, light)
     if codes is not None:
@@ -104,35 +106,45 @@ def write_gltf(
         write_onto(asset, onto, path, exported)
         return
     buffer = Buffer()
-    mesh, entries = asset.mesh, dict(exported.extras)
+    colours, scale = vertex_colours(asset, np.array(exported.extras["light"]["coefficients"]))
+    entries = exported.extras | {"light": exported.extras["light"] | {"colour_scale": scale}}
+    document = mesh_document(asset, buffer, texel_coordinates(len(asset.valid)), colours)
+    written = document["meshes"][0]
+    written["primitives"][0]["attributes"] |= prt_attributes(buffer, exported)
+    written["extras"] = {"prtbake": entries}
+    write_glb(path, document, buffer)
+
+
+def mesh_document(
+    asset: Asset, buffer: Buffer, texel: NDArray[np.float32], colours: NDArray[np.float32]
+) -> dict[str, Any]:
+    """The JSON of a file with the mesh of an asset, whose numbers are added to `buffer`: texel [V,2] as TEXCOORD_1,
+    colours [V,3] as COLOR_0.
+    """
+    mesh = asset.mesh
     origin = (mesh.positions.min(axis=0) + mesh.positions.max(axis=0)) / 2.0
-    texel = texel_coordinates(len(mesh.positions))
     uv = texel if mesh.uv is None else (mesh.uv * [1.0, -1.0] + [0.0, 1.0]).astype(np.float32)
-    colours, scale = vertex_colours(asset, np.array(entries["light"]["coefficients"]))
-    entries["light"] = entries["light"] | {"colour_scale": scale}
     attributes = {
         "POSITION": buffer.add_vertices((mesh.positions - origin).astype(np.float32), bounds=True),
         "NORMAL": buffer.add_vertices(mesh.normals.astype(np.float32)),
         "TEXCOORD_0": buffer.add_vertices(uv),
         "TEXCOORD_1": buffer.add_vertices(texel),
         "COLOR_0": buffer.add_vertices(colours),
-        **prt_attributes(buffer, exported),
     }
     primitive = {
         "attributes": attributes,
         "indices": buffer.add_indices(mesh.faces, len(mesh.positions)),
         "material": 0,
     }
-    document = {
+    return {
         "asset": {"version": "2.0", "generator": f"prtbake {program_version()}"},
         "extensionsUsed": ["KHR_materials_unlit"],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [_node(asset, origin)],
         "materials": [{"name": "prtbake", "pbrMetallicRoughness": {}, "extensions": {"KHR_materials_unlit": {}}}],
-        "meshes": [{"name": "prtbake", "primitives": [primitive], "extras": {"prtbake": entries}}],
+        "meshes": [{"name": "prtbake", "primitives": [primitive]}],
     }
-    write_glb(path, document, buffer)
 
 
 def _default_light(asset: Asset) -> StatedLight:

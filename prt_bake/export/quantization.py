@@ -1,4 +1,4 @@
-"""The engine form in 8 bits: normalised integers with one scale for each pair of harmonics and channel."""
+"""The engine form in 8 bits, normalised integers with one scale for each pair of harmonics and channel; in halves."""
 
 import dataclasses
 from typing import NamedTuple
@@ -6,9 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.errors import QueryError
 from prt_bake.export.engine_form import EngineForm
 
 LARGEST = 127
+LARGEST_HALF = float(np.finfo(np.float16).max)
 
 
 class Quantized(NamedTuple):
@@ -29,3 +31,14 @@ def dequantized(form: EngineForm, stored: Quantized) -> EngineForm:
     """The form with the coefficients that a reader finds."""
     read = stored.codes.astype(np.float32) / np.float32(LARGEST) * stored.scales
     return dataclasses.replace(form, coefficients=read)
+
+
+def in_halves(form: EngineForm) -> EngineForm:
+    """The form with its coefficients rounded to half floats. Raises QueryError for one that no half float holds."""
+    largest = float(np.abs(form.coefficients).max())
+    if not largest <= LARGEST_HALF:
+        raise QueryError(
+            f"asset: a coefficient is {largest:.4g}, half floats end at {LARGEST_HALF:,.0f}; export it as X.glb, which "
+            "has 32 bits"
+        )
+    return dataclasses.replace(form, coefficients=form.coefficients.astype(np.float16).astype(np.float32))

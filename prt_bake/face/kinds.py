@@ -372,6 +372,7 @@ OF_FUNCTION: dict[tuple[str, str], Check] = {
     ("render_network", "light"): light_of_picture,
     ("render_network", "network"): transport,
     ("save_model", "network"): model,
+    ("export_exr", "light"): coefficients,
     ("export_gltf", "light"): coefficients,
     ("bake", "transport"): baked,
     ("bake", "out"): asset_file,

@@ -57,7 +57,7 @@ def test_lights_are_folded_in_together(prtbake: Run, asset: Path, tmp_path: Path
     [
         ("-o x.ply --to glb", "expected a name that ends in .glb; give -o x.glb"),
         ("smooth.h5 -o x.glb", "is made of one SOURCE, found 2"),
-        ("-o x --to mitsuba", "--to mitsuba does not take this kind of file, asset; expected --to glb or site"),
+        ("-o x --to mitsuba", "--to mitsuba does not take this kind of file, asset; expected --to glb or exr or site"),
     ],
 )
 def test_what_cannot_be_written_is_refused(

@@ -50,6 +50,8 @@ COMMANDS = {
     "importance": ("importance model.pt mesh.ply", "model.importance.pt", "model.pt mesh.ply"),
     "compress": ("compress asset.h5 -o out.h5", "out.h5", "asset.h5"),
     "compress to the usual name": ("compress asset.h5", "asset.compact.h5", "asset.h5"),
+    "export": ("export asset.h5 -o out.glb --light sky.png", "out.glb", "asset.h5 sky.png"),
+    "export as a texture": ("export asset.h5 -o out.exr", "out.exr out.json out.mesh.glb", "asset.h5"),
     "shade": (
         f"shade asset.h5 {LIGHTS} -o out.exr --reflection --roughness alpha.png --error-picture out.png",
         "out.exr out.png",
