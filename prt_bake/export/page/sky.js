@@ -1,0 +1,46 @@
+// Lat-long pictures row by row, so that one of 8k needs little more memory than its file.
+
+/** What went wrong with a file, in words for the person who opened it. */
+export class Failure extends Error {}
+
+/** Width, height and rows [width·3] of linear radiance of a picture, .hdr or .exr. */
+export async function openSky(bytes) {
+  if (bytes[0] === 0x23) return openHdr(bytes);
+  const [{ EXRLoader }, { FloatType }] = await Promise.all([import("three/addons/loaders/EXRLoader.js"), import("three")]);
+  const { data, width, height } = new EXRLoader().setDataType(FloatType).parse(bytes.buffer), channels = data.length / width / height;
+  if (channels < 3) throw new Failure("has no red, green and blue.");
+  const at = (row, i) => data[(row * width + Math.floor(i / 3)) * channels + (i % 3)]; // the loader's rows go upwards
+  return { width, height, rows: Array.from({ length: height }, (_, row) => Float32Array.from({ length: 3 * width }, (_, i) => at(height - 1 - row, i))) };
+}
+
+/** Radiance files: https://radsite.lbl.gov/radiance/refer/filefmts.pdf */
+function openHdr(bytes) {
+  const header = new TextDecoder("latin1").decode(bytes.subarray(0, 65536)), size = /\n\n-Y (\d+) \+X (\d+)\n/.exec(header);
+  if (!size || /FORMAT=32-bit_rle_xyze/.test(header)) throw new Failure("is stored in an unusual order or in XYZ; save it again as RGBE.");
+  const [height, width] = [Number(size[1]), Number(size[2])], exposures = header.slice(0, size.index).matchAll(/EXPOSURE=\s*(\S+)/g);
+  const exposure = [...exposures].reduce((all, [, one]) => all * one, 1);
+  return { width, height, rows: hdrRows(bytes, size.index + size[0].length, width, height, exposure) };
+}
+
+function* hdrRows(bytes, at, width, height, exposure) {
+  const row = new Float32Array(3 * width);
+  let pixels = new Uint8Array(4 * width);
+  for (let number = 0; number < height; number++) {
+    const coded = width >= 8 && width < 32768 && bytes[at] === 2 && bytes[at + 1] === 2 && bytes[at + 2] < 128;
+    if (coded) at += 4; // then each channel: runs (count + 128, value) and literals (count, values)
+    else at += (pixels = bytes.slice(at, at + 4 * width)).length;
+    for (let i = 0; coded && i < 4 * width; ) {
+      const count = bytes[at++], end = i + (count > 128 ? count - 128 : count), value = bytes[at];
+      if (!count || end > 4 * width) at = NaN;
+      for (; i < end; i++) pixels[(i % width) * 4 + Math.floor(i / width)] = count > 128 ? value : bytes[at++];
+      if (count > 128) at++;
+      if (!(at <= bytes.length)) break;
+    }
+    if (!(at <= bytes.length) || pixels.length < 4 * width) throw new Failure(`is truncated in row ${number} of ${height}; copy it again.`);
+    for (let i = 0; i < 3 * width; i++) {
+      const pixel = 4 * Math.floor(i / 3), exponent = pixels[pixel + 3];
+      row[i] = exponent ? (pixels[pixel + (i % 3)] * 2 ** (exponent - 136)) / exposure : 0;
+    }
+    yield row;
+  }
+}

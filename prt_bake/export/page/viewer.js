@@ -1,0 +1,200 @@
+// The page: reads site.json, shows an object under a light, and says what it finds.
+import * as THREE from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { readAsset } from "./asset.js";
+import { project, sun, turned } from "./light.js";
+import { Model } from "./shader.js";
+import { Failure, openSky } from "./sky.js";
+
+const $ = (id) => document.getElementById(id), number = (id) => Number($(id).value), say = window.say;
+const canvas = $("view"), query = new URLSearchParams(location.search), scene = new THREE.Scene();
+const camera = new THREE.PerspectiveCamera(30), page = (window.prtbake = { frames: [], radiance, picture });
+const lights = [{ name: "sun", polar: async (degree) => sun(degree, number("height")) }];
+let renderer, controls, model, objects = [], shown = 0, polar = null, lightChanged = false, viewChanged = false;
+
+async function start() {
+  if (!navigator.gpu && !document.createElement("canvas").getContext("webgl2")) {
+    throw new Failure("This browser has neither WebGL 2 nor WebGPU, which the page needs; try a newer one.");
+  }
+  renderer = new THREE.WebGPURenderer({ canvas, antialias: true, forceWebGL: query.get("backend") === "webgl" });
+  renderer.onDeviceLost = () => (renderer.setAnimationLoop(null), say("The graphics device was lost; reload the page."));
+  await renderer.init();
+  page.backend = renderer.backend.isWebGPUBackend ? "webgpu" : "webgl";
+  bindControls();
+  const site = await (await get("site.json")).json().catch(() => ({}));
+  objects = site.objects ?? [];
+  lights.unshift(...(site.lights ?? []).map(({ name, file }) => skyOf(name, async () => (await get(file)).arrayBuffer())));
+  listLights();
+  $("next").hidden = objects.length < 2;
+  if (!objects.length) throw new Failure("The page has no object; drop one on it, .h5 or .glb.");
+  await showObject(Number(query.get("object")));
+}
+
+async function get(file) {
+  const answer = await fetch(file).catch(() => ({}));
+  if (!answer.ok) throw new Failure(`${file} is missing on the server; export the page again.`);
+  return answer;
+}
+
+/** A light that reads its picture when it is first shown, and keeps its coefficients of each degree. */
+function skyOf(name, load) {
+  const known = [], read = async (degree) => project(degree, await openSky(new Uint8Array(await load())));
+  return { name, polar: (degree) => (known[degree] ??= read(degree)) };
+}
+
+async function showObject(which) {
+  const { name, file } = objects[(shown = which % objects.length)], began = performance.now();
+  say(`Loading ${name} …`);
+  await open(new Uint8Array(await (await get(file)).arrayBuffer()), name);
+  page.opened = performance.now() - began;
+}
+
+/** Show an asset, or light the object by a sky. */
+async function open(bytes, name) {
+  const kind = String.fromCharCode(...bytes.subarray(0, 4));
+  try {
+    if (kind === "\x89HDF") await show(await readAsset(bytes), name, bytes.length);
+    else if (kind === "glTF") await show(await (await import("./glb.js")).readGlb(bytes), name, bytes.length);
+    else if (kind.startsWith("#?") || kind === "v/1\x01") await lightBy(skyOf(name, async () => bytes));
+    else throw new Failure("is neither an asset (.h5, .glb) nor a sky (.hdr, .exr).");
+    say("");
+  } catch (error) {
+    if (!(error instanceof Failure)) console.warn(error);
+    throw new Failure(`${name} ${error instanceof Failure ? error.message : `cannot be shown: ${error.message}`}`);
+  }
+}
+
+async function lightBy(sky) {
+  await sky.polar(2); // a picture that cannot be read does not become a light
+  lights.unshift(sky);
+  listLights();
+  await relight();
+}
+
+async function show(record, name, size) {
+  const { faces, positions, K, quantity, missing, selftest } = record, fixed = quantity === "radiance", next = new Model(renderer, record);
+  const off = selftest.vertex.some((v) => v < 0) ? NaN : await next.selftest(), met = off < 1e-3;
+  model?.dispose();
+  scene.clear().add((model = next).mesh);
+  page.selftest = off;
+  const counts = `${(faces.length / 3).toLocaleString("en")} triangles · ${(positions.length / 3).toLocaleString("en")} vertices`;
+  $("name").textContent = name;
+  $("figures").textContent = `${counts} · ${(size / 1e6).toPrecision(3)} MB`;
+  $("error").textContent = `Error: ${record.error}.`;
+  $("check").textContent = met ? "meets its self-test" : "fails its self-test: the file was changed, or this device computes wrong";
+  $("about").className = met ? "" : "bad";
+  $("left-out").textContent = `Not shown: ${missing.join(", ")}. ${fixed ? "The light is that of the bake." : `Light is ${K} coefficients, so narrow light looks soft.`}`;
+  for (const id of ["light-row", "turn-row", "drag"]) $(id).hidden = fixed;
+  $("about").hidden = false;
+  frameObject();
+  await relight();
+}
+
+function frameObject() {
+  const { geometry } = model.mesh, up = model.record.up === "z" ? [0, 0, 1] : [0, 1, 0];
+  geometry.computeBoundingSphere();
+  const { center, radius } = geometry.boundingSphere, tangent = Math.tan((camera.fov * Math.PI) / 360) * Math.min(1, camera.aspect);
+  const from = new THREE.Vector3(...(up[2] ? [0.43, -0.87, 0.24] : [0.43, 0.24, 0.87])), away = (1.15 * radius) / Math.sin(Math.atan(tangent));
+  camera.up.set(...up);
+  camera.position.copy(center).addScaledVector(from, away);
+  Object.assign(camera, { near: radius / 100, far: 100 * radius });
+  controls?.dispose();
+  controls = Object.assign(new OrbitControls(camera, canvas), { enableDamping: true, dampingFactor: 0.12, enablePan: false });
+  Object.assign(controls, { minDistance: 1.05 * radius, maxDistance: 20 * radius, target: center.clone() });
+  controls.addEventListener("change", () => (viewChanged = true));
+  resize();
+}
+
+/** Light the object by the chosen light; the newest choice wins. */
+async function relight() {
+  const light = lights[number("light")], { record } = model, fixed = record.quantity === "radiance";
+  $("height-row").hidden = fixed || light.name !== "sun";
+  const found = fixed ? [1, 1, 1] : await light.polar(Math.sqrt(record.K) - 1);
+  if (light === lights[number("light")] && record === model.record) [polar, lightChanged] = [found, true];
+}
+
+function frame() {
+  if (!model) return;
+  const began = performance.now();
+  controls.update();
+  if (lightChanged) model.setLight(turned(polar, model.record.up, number("turn")));
+  if (!lightChanged && !viewChanged) return;
+  lightChanged = viewChanged = false;
+  model.exposure.value = 2 ** number("exposure");
+  model.eye.value.set(...camera.position, 1);
+  renderer.render(scene, camera);
+  page.frames = [...page.frames.slice(-99), performance.now() - began];
+}
+
+function resize() {
+  const { clientWidth: width, clientHeight: height } = canvas;
+  renderer.setPixelRatio(Math.min(2, devicePixelRatio));
+  renderer.setSize(width, height, false);
+  camera.aspect = width / height;
+  camera.setViewOffset(width, height, 0, (document.querySelector("footer").offsetHeight - 40) / 2, width, height); // above the controls
+  viewChanged = true;
+}
+
+function listLights() {
+  $("light").replaceChildren(...lights.map(({ name }, i) => new Option(name, i)));
+}
+
+/** Run what may fail, and say why it did. */
+async function attempt(work) {
+  try {
+    await work();
+  } catch (error) {
+    if (!(error instanceof Failure)) console.warn(error);
+    say(error.message);
+  }
+}
+
+function bindControls() {
+  const openAll = (files) => attempt(async () => {
+    for (const file of files) await open(new Uint8Array(await file.arrayBuffer()), file.name);
+  });
+  const turnsLight = (event) => event.shiftKey || event.button === 2 || $("drag").ariaPressed === "true";
+  new ResizeObserver(resize).observe(canvas);
+  renderer.setAnimationLoop(frame);
+  $("turn").oninput = () => (lightChanged = Boolean(polar));
+  $("exposure").oninput = () => (viewChanged = true);
+  $("light").onchange = $("height").oninput = () => attempt(relight);
+  $("next").onclick = () => attempt(() => showObject(shown + 1));
+  $("next-light").onclick = () => ($("light").value = (number("light") + 1) % lights.length, attempt(relight));
+  $("drag").onclick = () => ($("drag").ariaPressed = $("drag").ariaPressed !== "true");
+  $("file").onchange = () => openAll([...$("file").files]);
+  document.ondragover = (event) => event.preventDefault();
+  document.ondrop = (event) => (event.preventDefault(), openAll([...event.dataTransfer.files]));
+  canvas.addEventListener("pointerdown", (event) => {
+    if (controls) controls.enabled = !turnsLight(event);
+    canvas.setPointerCapture(event.pointerId);
+  }, true);
+  canvas.onpointermove = (event) => {
+    if (!controls || controls.enabled || !event.buttons) return;
+    $("turn").value = ((number("turn") + 0.4 * event.movementX + 540) % 360) - 180;
+    $("height").value = number("height") - 0.3 * event.movementY;
+    attempt(relight);
+  };
+  canvas.onpointerup = canvas.onpointercancel = () => controls && (controls.enabled = true);
+}
+
+/** For tests: radiance [V·3] towards a point of object space under a light [K·3], from the GPU. */
+async function radiance(eye, light) {
+  model.setLight(light);
+  const found = await model.read(...eye.map((value, i) => value - model.record.origin[i]), 1);
+  lightChanged = true;
+  return found.map((value) => Math.max(0, value));
+}
+
+/** For tests: a picture, linear RGBA, its last row first in WebGL, of a camera in object space under a light [K·3]. */
+async function picture({ eye, target, up, fov, width, height }, light) {
+  const view = new THREE.PerspectiveCamera(fov, width / height, camera.near, camera.far), to = new THREE.RenderTarget(width, height, { type: THREE.FloatType });
+  const place = (point) => new THREE.Vector3(...point).sub(new THREE.Vector3(...model.record.origin));
+  view.up.set(...up), view.position.copy(place(eye)), view.lookAt(place(target));
+  model.setLight(light), model.exposure.value = 1, model.eye.value.set(...view.position, 1);
+  model.draw(to, () => renderer.render(scene, view));
+  lightChanged = true;
+  return renderer.readRenderTargetPixelsAsync(to, 0, 0, width, height);
+}
+
+page.ready = attempt(start);
