@@ -43,7 +43,6 @@ class AssetFile:
             self._coefficients = _dataset(transfer, "coefficients", shape, storage)
             self._rows = ChunkWriter(self._coefficients)
             self._standard_error = _dataset(transfer, "standard_error", shape[:2], "float32")
-            self.file.create_group("selftest")
             self.check()
         except BaseException:
             self.discard()
@@ -54,6 +53,12 @@ class AssetFile:
         self._rows.write(rows, values)
         self._standard_error[rows] = errors
         self.check()
+
+    def stored(self, vertices: NDArray[np.int64]) -> NDArray[np.floating]:
+        """Return the coefficients [n,B,K,C] of ascending vertices as they are stored; nothing can be written after."""
+        self._rows.finish()
+        self.check()
+        return np.asarray(self._coefficients[vertices])
 
     def note(self, sentence: str) -> None:
         """Store a sentence about the type of the coefficients as their attribute."""

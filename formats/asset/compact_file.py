@@ -15,6 +15,7 @@ from formats.asset.error_covariance import write_covariance
 from formats.asset.head import write_head
 from formats.asset.lobes import write_lobes
 from formats.asset.record import Asset
+from formats.asset.selftest import write_selftest
 from formats.atomic import replacing
 from formats.hdf5_file import attribute
 from formats.hdf5_sink import Sink
@@ -50,9 +51,7 @@ def write_compact(asset: Asset, path: str | os.PathLike[str]) -> int:
             _write_transfer(file.create_group(GROUP), asset)
             file.flush()
             size = int(file.id.get_filesize() - before)
-            for name, values in asset.selftest.items():
-                kind = "<u4" if name == "vertex" else "<f8"
-                file.create_dataset(f"selftest/{name}", data=np.asarray(values).astype(kind))
+            write_selftest(file, asset.selftest)
             if asset.lobes is not None:
                 write_lobes(file, asset.lobes)
             file.create_dataset("provenance/json", data=_provenance(asset, size))

@@ -10,7 +10,7 @@ format_version 1.0, little-endian, with the filters gzip and shuffle only:
     /bins         directions; attributes rings, sectors, interpolation, solid_angle
     /transfer     coefficients [V,B,K,C], valid [V], standard_error [V,B]; attributes quantity, formula, folded_in;
                   the error covariance (`error_covariance.py`): error_covariance, error_channels, error_apart, error_row
-    /selftest     light, vertex, outgoing, radiance
+    /selftest     light, vertex, outgoing, radiance; optional: sun, lobes
     /lobes        optional, format_version 1.1 (`formats.asset.lobes`)
     /provenance   json (one string), error_vs_time [rows,3]
 
@@ -25,7 +25,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from formats.asset import compact_layout, error_covariance
+from formats.asset import compact_layout, error_covariance, selftest
 from formats.asset.head import BASIS, FORMAT, FORMULAS
 from formats.asset.provenance import provenance_faults, pruned_faults
 from formats.asset.total_error import network_error_faults
@@ -57,10 +57,8 @@ _PLAIN_DATASETS: dict[str, tuple[str, tuple[str, ...]]] = {
 _OPTIONAL_DATASETS: dict[str, tuple[str, tuple[str, ...]]] = {
     "mesh/uv": ("f", ("V", "2")),
     "mesh/source_vertex": ("iu", ("n",)),
-    "selftest/light": ("f", ("K", "3")),
-    "selftest/vertex": ("iu", ("S",)),
-    "selftest/outgoing": ("f", ("S", "3")),
-    "selftest/radiance": ("f", ("S", "3")),
+    **selftest.DATASETS,
+    **selftest.OF_LOBES,
 }
 
 
@@ -136,12 +134,11 @@ def _dataset_faults(file: Any) -> Iterator[str]:
         "sectors": int(attribute(file["bins"], "sectors")),
     }
     lengths["B"] = lengths["rings"] * lengths["sectors"]
-    selftest = {f"selftest/{name}" for name in file.get("selftest", ())}
     compact = transfer_group(file) == compact_layout.GROUP
     transfer = compact_layout.datasets(file[compact_layout.GROUP]) if compact else _PLAIN_DATASETS
     covariance = {f"{transfer_group(file)}/{name}": axes for name, axes in error_covariance.DATASETS.items()}
     required = {*_DATASETS, *transfer}
-    required |= {name for name in _OPTIONAL_DATASETS if name.startswith("selftest/")} if selftest else set()
+    required |= set(selftest.DATASETS) if len(file.get(selftest.GROUP, ())) else set()
     if any(name in file for name in covariance):
         required |= {name for name in covariance if not name.endswith("error_row")}
     for name, (kinds, axes) in {**_DATASETS, **transfer, **covariance, **_OPTIONAL_DATASETS}.items():

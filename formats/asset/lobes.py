@@ -20,6 +20,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.asset.selftest import GROUP as SELFTEST
+from formats.asset.selftest import write_selftest
 from formats.atomic import replacing
 from formats.hdf5_file import attribute, found
 from formats.hdf5_sink import Sink
@@ -74,7 +76,11 @@ class Lobes:
 
 
 def add_lobes_to_file(
-    source: str | os.PathLike[str], target: str | os.PathLike[str], lobes: Lobes | None, provenance: Mapping[str, Any]
+    source: str | os.PathLike[str],
+    target: str | os.PathLike[str],
+    lobes: Lobes | None,
+    provenance: Mapping[str, Any],
+    selftest: Mapping[str, NDArray[Any]],
 ) -> None:
     """Copy an asset file with these lobes, None for none, in place of its own; all else stays as it is.
 
@@ -82,6 +88,7 @@ def add_lobes_to_file(
         source, target: may be the same file.
         lobes: of the asset's vertices.
         provenance: entries added to the asset's provenance.
+        selftest: all datasets of the new self-test.
 
     Raises StorageError if the target cannot be written.
     """
@@ -90,12 +97,13 @@ def add_lobes_to_file(
         with h5py.File(source) as old, h5py.File(sink, "w") as file:
             # Objects are copied one by one: HDF5 would keep the space of a deleted group.
             for name in old:
-                if name != GROUP:
+                if name not in (GROUP, SELFTEST):
                     old.copy(name, file)
             file.attrs.update(old.attrs)
             file.attrs["format_version"] = FORMAT_VERSION
             if lobes is not None:
                 write_lobes(file, lobes)
+            write_selftest(file, selftest)
             entries = json.loads(old["provenance/json"][()]) | dict(provenance)
             del file["provenance/json"]
             file.create_dataset("provenance/json", data=json.dumps(entries, ensure_ascii=False, allow_nan=False))
@@ -109,11 +117,27 @@ def write_lobes(file: Any, lobes: Lobes) -> None:
     file.attrs["format_version"] = VERSION_WITH_LOBES
     group = file.create_group(GROUP)
     group.attrs.update(rings=lobes.rings, sectors=lobes.sectors, formula=FORMULA, interpolation=INTERPOLATION)
-    for name, values in (("axes", lobes.axes), ("sharpness", lobes.sharpness), ("powers", lobes.powers)):
-        kind = np.dtype("<f4" if name == "powers" and not _LEAST_PEAK <= np.abs(values).max() <= _MOST_PEAK else "<f2")
+    for name, values in _typed(lobes).items():
+        kind = values.dtype
         rows = max(1, min(len(values), _CHUNK_BYTES // max(1, values[:1].size * kind.itemsize)))
         chunks = (rows, *values.shape[1:])
-        group.create_dataset(name, data=values.astype(kind), chunks=chunks, compression=4, shuffle=True)
+        group.create_dataset(name, data=values, chunks=chunks, compression=4, shuffle=True)
+
+
+def as_stored(lobes: Lobes) -> Lobes:
+    """Return the lobes with the numbers that a file stores."""
+    stored = {name: values.astype(np.float32) for name, values in _typed(lobes).items()}
+    return Lobes(lobes.rings, lobes.sectors, **stored)
+
+
+def _typed(lobes: Lobes) -> dict[str, NDArray[np.floating]]:
+    """Return the datasets in the types of a file: float16, if it represents the powers."""
+    wide = not _LEAST_PEAK <= np.abs(lobes.powers).max() <= _MOST_PEAK
+    return {
+        "axes": lobes.axes.astype("<f2"),
+        "sharpness": lobes.sharpness.astype("<f2"),
+        "powers": lobes.powers.astype("<f4" if wide else "<f2"),
+    }
 
 
 def read_lobes(file: Any) -> Lobes | None:

@@ -17,6 +17,7 @@ from formats.asset.head import mesh_digest, mesh_origin
 from formats.asset.layout import layout_faults, transfer_group
 from formats.asset.lobes import lobe_faults, read_lobes
 from formats.asset.record import Asset
+from formats.asset.selftest import DATASETS, OF_LOBES
 from formats.asset.total_error import read_network_error
 from formats.errors import AssetError
 from formats.hdf5_file import (
@@ -139,8 +140,9 @@ def _faults(file: Any) -> Iterator[str]:
     if len(file.get("selftest", ())):
         outside = (file["selftest/vertex"][...] < 0) | (file["selftest/vertex"][...] >= vertices)
         yield from _row_faults("selftest/vertex", outside, "out of the range of vertices")
-        for name in ("selftest/light", "selftest/outgoing", "selftest/radiance"):
-            yield from _finite_faults(file, name)
+        for name in (*DATASETS, *OF_LOBES):
+            if name in file:
+                yield from _finite_faults(file, name)
 
 
 def _bin_faults(group: Any) -> Iterator[str]:
@@ -161,7 +163,7 @@ def _mesh_faults(group: Any) -> Iterator[str]:
 
 
 def _finite_faults(file: Any, name: str) -> Iterator[str]:
-    yield from _row_faults(name, ~np.isfinite(file[name][...]).all(axis=1), "not finite")
+    yield from _row_faults(name, ~np.isfinite(np.atleast_2d(file[name][...])).all(axis=1), "not finite")
 
 
 def _row_faults(name: str, wrong: NDArray[np.bool_], problem: str) -> Iterator[str]:

@@ -76,6 +76,7 @@ class Asset(AssetHead):
         provenance: command, resolved settings, seed, hashes of model and mesh, device, credits.
         error_vs_time: float64 [rows,3]: seconds, evaluations, estimated relative error.
         selftest: light [K,3], vertex [S], outgoing [S,3] and radiance [S,3], for importers to reproduce; may be empty.
+            Of lobes: sun [3] and lobes [S,3], what they add.
         storage: type of the coefficients in a file, "float16" or "float32".
         error_covariance: covariance of the errors of each vertex, or None if unknown.
         lobes: what the transport holds beyond the harmonics, or None.

@@ -19,6 +19,7 @@ from formats.asset.error_covariance import ErrorCovariance, write_covariance
 from formats.asset.head import FORMULAS
 from formats.asset.lobes import Lobes, write_lobes
 from formats.asset.record import Asset, AssetHead, Storage
+from formats.asset.selftest import write_selftest
 from formats.atomic import replacing
 from formats.errors import AssetError
 from formats.interrupts import deferred
@@ -105,6 +106,15 @@ class AssetWriter:
             self._open.write(rows, values.astype(self.storage), errors)
         self.valid[rows] = 1
 
+    def stored(self, vertices: NDArray[np.int64]) -> NDArray[np.floating]:
+        """Return the coefficients [n,B,K,C] of ascending vertices as they are stored; only `finish` may follow.
+
+        Raises:
+            StorageError: the disk is full; the writer is then closed.
+        """
+        with self._guarded():
+            return self._open.stored(vertices)
+
     def finish(
         self,
         provenance: Mapping[str, Any],
@@ -119,7 +129,7 @@ class AssetWriter:
         Args:
             provenance: JSON values: command, resolved settings, seed, hashes, device, credits, eta.
             error_vs_time: [rows,3]: seconds, evaluations, estimated relative error.
-            selftest: light [K,3], vertex [S], outgoing [S,3], radiance [S,3].
+            selftest: light [K,3], vertex [S], outgoing [S,3], radiance [S,3]; optional: sun [3], lobes [S,3].
             complete: false for a bake that was stopped early; vertices never written have valid = 0.
             error_covariance: covariance of the errors of each vertex, if known.
             lobes: what the transport holds beyond the harmonics, if known.
@@ -142,9 +152,7 @@ class AssetWriter:
                 write_lobes(file, lobes)
             file.create_dataset("provenance/json", data=text)
             file.create_dataset("provenance/error_vs_time", data=rows)
-            for name, values in (selftest or {}).items():
-                kind = "<u4" if name == "vertex" else "<f8"
-                file.create_dataset(f"selftest/{name}", data=np.asarray(values).astype(kind))
+            write_selftest(file, selftest or {})
             self._open.close()
             self._stack.close()
         self._finished = True

@@ -31,6 +31,7 @@ from prt_bake.baking.compact_encoding import (
     untransformed,
 )
 from prt_bake.lobes.rounding import rounded
+from prt_bake.lobes.selftest import with_lobes
 from prt_bake.mathematics import sphere
 from prt_bake.shading.reconstruction import reconstruct
 from prt_bake.shading.selftest import warn_of_failed_selftest
@@ -138,16 +139,16 @@ def compress(asset: Asset, error: float, progress: Progress | None = None) -> As
         norm = math.sqrt(original * 3.0 / channels * lobes.rings * lobes.sectors / bins)
         lobes, changed = rounded(lobes, ERROR_OF_LOBES * error * norm)
         record["lobes_error"] = changed / norm
-    return dataclasses.replace(
+    made = dataclasses.replace(
         asset,
         coefficients=compact,
         standard_error=round_up(stated[:, None]),
         storage="float32",
         error_covariance=_error_covariance(asset, own, encoded),
-        lobes=lobes,
         selftest=_selftest(asset, compact),
         provenance={**asset.provenance, "compression": record},
     )
+    return with_lobes(made, lobes)
 
 
 def compress_file(
@@ -184,7 +185,7 @@ def compress_file(
         with replacing(out) as part:
             shutil.copyfile(path, part)
     else:
-        add_lobes_to_file(path, out, None, {"lobes": _LEFT_OUT})
+        add_lobes_to_file(path, out, None, {"lobes": _LEFT_OUT}, without_lobes(asset).selftest)
     return Outcome(asset, None, raw, before, before, time.monotonic() - began)
 
 
@@ -192,7 +193,7 @@ def without_lobes(asset: Asset) -> Asset:
     """The asset without its lobes; itself if it has none."""
     if asset.lobes is None:
         return asset
-    return dataclasses.replace(asset, lobes=None, provenance={**asset.provenance, "lobes": _LEFT_OUT})
+    return with_lobes(dataclasses.replace(asset, provenance={**asset.provenance, "lobes": _LEFT_OUT}), None)
 
 
 def unpacked(asset: Asset) -> Asset:

@@ -55,7 +55,7 @@ def lobes(
             baked, transport, most, workers=workers, device=device, progress=lambda done, of: show(done / of, "")
         )
     entry = {**found.provenance["lobes"], **origin(source)}
-    add_lobes_to_file(asset, target, found.lobes, {"lobes": entry})
+    add_lobes_to_file(asset, target, found.lobes, {"lobes": entry}, found.selftest)
     before = "" if baked.lobes is None else f"; they replace the {baked.lobes.count} that the asset had"
     print(f"{target}: {lobes_sentence(entry)}{before}")
     say_next_of_asset(target)

@@ -1,11 +1,13 @@
-"""The self-test of an asset: radiance at six vertices, which the coefficients must reproduce. Never loads torch."""
+"""The self-test of an asset: radiance of vertices that coefficients and lobes must reproduce. Never loads torch."""
 
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from formats.asset import Asset
 from formats.errors import warn
+from prt_bake.lobes.selftest import lobes_under_sun
 from prt_bake.mathematics import sphere
 from prt_bake.shading.reconstruction import reconstruct
 
@@ -20,16 +22,21 @@ def warn_of_failed_selftest(asset: Asset, path: str | Path) -> None:
 
 
 def selftest_fault(asset: Asset) -> str | None:
-    """Return a sentence if the coefficients do not reproduce the self-test, else None."""
+    """Return a sentence if the coefficients or the lobes do not reproduce the self-test, else None."""
     if not len(asset.selftest.get("vertex", ())) or not asset.valid.any():
         return None
-    if (deviation := selftest_error(asset)) <= _TOLERANCE:
-        return None
-    return (
-        f"/selftest: its radiance differs from that of the coefficients by {deviation:.3g} of the largest; the "
-        "coefficients, the mesh or the self-test were changed; bake the asset again, or delete /selftest if the change "
-        "is meant"
-    )
+    remedy = "bake the asset again, or delete /selftest if the change is meant"
+    if (deviation := selftest_error(asset)) > _TOLERANCE:
+        return (
+            f"/selftest: its radiance differs from that of the coefficients by {deviation:.3g} of the largest; the "
+            f"coefficients, the mesh or the self-test were changed; {remedy}"
+        )
+    if (deviation := lobes_error(asset)) > _TOLERANCE:
+        return (
+            f"/selftest: lobes there differ from /lobes by {deviation:.3g} of the largest; the lobes or "
+            f"the self-test were changed; {remedy}"
+        )
+    return None
 
 
 def selftest_error(asset: Asset) -> float:
@@ -41,6 +48,18 @@ def selftest_error(asset: Asset) -> float:
     bins = sphere.bin_coordinates(local, asset.rings, asset.sectors)
     light = np.asarray(asset.selftest["light"], np.float64) if asset.quantity == "transfer" else np.ones((1, 3))
     computed = reconstruct(asset.coefficients, vertices, bins, asset.sectors, light)
-    stored = np.asarray(asset.selftest["radiance"], np.float64)[order]
+    return _relative(computed, asset.selftest["radiance"][order])
+
+
+def lobes_error(asset: Asset) -> float:
+    """Return the same of what lobes add under the self-test's sun; 0 without lobes, or without rows of them."""
+    if asset.lobes is None or "lobes" not in asset.selftest or "sun" not in asset.selftest:
+        return 0.0
+    computed = lobes_under_sun(asset, asset.lobes, np.asarray(asset.selftest["sun"], np.float64))
+    return _relative(computed, asset.selftest["lobes"])
+
+
+def _relative(computed: NDArray[np.float64], rows: NDArray[np.floating]) -> float:
+    stored = np.asarray(rows, np.float64)
     largest = max(float(np.abs(computed).max()), float(np.abs(stored).max()))
     return float(np.abs(computed - stored).max()) / largest if largest > 0.0 else 0.0

@@ -111,13 +111,13 @@ int min(int a, int b) {{ return std::min(a, b); }}
 float3 max(float3 a, int) {{ return a; }}  // the self-test is not clamped
 const float PI = 3.14159265f;
 const int rings = {rings}, sectors = {sectors};
-const float table[][3] = {{{table}}};
-float3 C(int b) {{ return {{table[b][0], table[b][1], table[b][2]}}; }}
+struct Row {{ float bins[rings * sectors][3]; float3 normal, tangent, to_viewer; }} row;
+float3 C(int b) {{ return {{row.bins[b][0], row.bins[b][1], row.bins[b][2]}}; }}
 {program}
 int main() {{
-    for (float3 to_viewer : {{{views}}}) {{
-        float3 found = radiance(float3({normal}), float3({tangent}), to_viewer);
-        std::printf("%.7g %.7g %.7g\\n", found.r, found.g, found.b);
+    while (std::fread(&row, sizeof row, 1, stdin)) {{
+        float3 found = radiance(row.normal, row.tangent, row.to_viewer);
+        std::printf("%.9g %.9g %.9g\\n", found.r, found.g, found.b);
     }}
 }}
 """
@@ -125,23 +125,13 @@ int main() {{
 
 def test_the_program_of_the_page_gives_the_self_test(tmp_path: Path) -> None:
     asset = prt.bake(Lobed(), MESH, rings=4, sectors=8, samples=32)
-    test, vertex = asset.selftest, int(asset.selftest["vertex"][0])
-
-    def listed(values: Any) -> str:
-        return ", ".join(f"{value:.9e}f" for value in values)
-
-    source = AROUND_THE_PROGRAM.format(
-        rings=4,
-        sectors=8,
-        table=", ".join(f"{{{listed(row)}}}" for row in (asset.coefficients[vertex] * test["light"]).sum(axis=1)),
-        program=PROGRAM,
-        views=", ".join(f"float3({listed(view)})" for view in test["outgoing"]),
-        normal=listed(MESH.normals[vertex]),
-        tangent=listed(asset.tangents[vertex]),
-    )
+    test, vertex = asset.selftest, asset.selftest["vertex"]
+    source = AROUND_THE_PROGRAM.format(rings=4, sectors=8, program=PROGRAM)
+    by_bin = (asset.coefficients[vertex] * test["light"]).sum(axis=2).reshape(len(vertex), -1)
+    rows = np.hstack([by_bin, MESH.normals[vertex], asset.tangents[vertex], test["outgoing"]]).astype(np.float32)
     (tmp_path / "program.cpp").write_text(source, encoding="utf-8")
     subprocess.run(["c++", "-std=c++17", "-o", tmp_path / "program", tmp_path / "program.cpp"], check=True)
-    printed = subprocess.run([tmp_path / "program"], check=True, capture_output=True, text=True).stdout
+    printed = subprocess.run([tmp_path / "program"], check=True, capture_output=True, input=rows.tobytes()).stdout
     found = np.array([line.split() for line in printed.splitlines()], np.float64)
     np.testing.assert_allclose(found, test["radiance"], atol=1e-5 * np.abs(test["radiance"]).max())
 

@@ -17,6 +17,7 @@ from prt_bake.baking.lobes.search import LobeSearch, node_grid
 from prt_bake.baking.lobes.stage import find_lobes
 from prt_bake.baking.output.checkpoint_store import MemoryStore
 from prt_bake.jit.limits import limited_threads
+from prt_bake.lobes.selftest import with_lobes
 
 
 def add_lobes(
@@ -79,4 +80,4 @@ def add_lobes(
     entry: dict[str, Any] = {**plan.as_json(), "harmonics_apart": apart}
     if lobes is None:
         entry["reason"] = none_gained(plan, grid)
-    return replace(asset, lobes=lobes, provenance={**asset.provenance, "lobes": entry})
+    return with_lobes(replace(asset, provenance={**asset.provenance, "lobes": entry}), lobes)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from bakers.transport import prepared, transport_kind, up_to
@@ -15,6 +15,7 @@ from prt_bake.baking.lobes.pilot import LobePlan, none_gained, plan_lobes
 from prt_bake.baking.lobes.search import LobeSearch, node_grid
 from prt_bake.baking.lobes.stage import find_lobes
 from prt_bake.baking.output.checkpoint_store import CheckpointStore
+from prt_bake.lobes.selftest import with_lobes
 
 STAGE = "lobes"
 SHARE_OF_TIME = 0.5
@@ -56,10 +57,11 @@ class LobesOfBake:
         copy, original = work.pruning.copies.T
         for values in (lobes.axes, lobes.sharpness, lobes.powers):
             values[copy] = values[original]
+        asset = with_lobes(asset, lobes)
         if work.out is None:
-            return replace(asset, lobes=lobes)
+            return asset
         asset.close()
-        add_lobes_to_file(work.out, work.out, lobes, {})
+        add_lobes_to_file(work.out, work.out, lobes, {}, asset.selftest)
         return read_asset(work.out, load=False)
 
 

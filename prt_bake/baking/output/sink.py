@@ -15,22 +15,10 @@ from formats.asset.writer import AssetWriter
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake.baking.output.covariance_rows import CovarianceRows
+from prt_bake.baking.output.selftest import selftest, selftest_vertices
 from prt_bake.mathematics import sh, sphere
 
 CHECK_DIRECTIONS = np.array([[2.0, 3.0, 6.0], [-6.0, 2.0, -3.0]]) / 7.0
-SELFTEST_LOCAL = np.array(
-    [
-        [0.48, 0.36, 0.8],
-        [-0.64, 0.6, 0.48],
-        [0.0, 0.0, 1.0],
-        [-0.12, 0.09, 0.98869],
-        [0.6, -0.003, 0.79999],
-        [0.6, -0.8, 0.004],
-    ]
-)
-SELFTEST_LOCAL /= np.linalg.norm(SELFTEST_LOCAL, axis=1, keepdims=True)
-"""Local directions to the eye for the selftest of importers: two general ones, the pole, near the pole, across the seam
-of φ, and grazing."""
 
 
 class Sink(Protocol):
@@ -129,7 +117,7 @@ class ArraySink:
 
     def finish(self, provenance: dict[str, Any], error_vs_time: NDArray[np.float64], complete: bool) -> Asset:
         """Returns the asset, in memory."""
-        first = int(self._valid.argmax())
+        vertices = selftest_vertices(self._valid)
         return Asset(
             **vars(self._head),
             coefficients=self._coefficients,
@@ -138,7 +126,7 @@ class ArraySink:
             complete=complete,
             provenance=provenance,
             error_vs_time=error_vs_time,
-            selftest=selftest(self._head, first, self._coefficients[first], self._light) if self._valid.any() else {},
+            selftest=selftest(self._head, vertices, self._coefficients[vertices], self._light),
             storage=self._storage,
             error_covariance=self._covariances.finished(),
         )
@@ -163,7 +151,6 @@ class FileSink:
         replaces = self._out.is_file()
         self._target = self._out.with_name(f"partial-{self._out.name}") if replaces else self._out
         self._writer = AssetWriter(self._target, head, storage=storage, views=axes[0], channels=axes[1])
-        self._first: tuple[int, NDArray[np.float32]] | None = None
         self._covariances = CovarianceRows(self._writer.shape)
 
     def __enter__(self) -> Self:
@@ -185,15 +172,11 @@ class FileSink:
                     block.first_vertex + rows.start, block.coefficients[rows], block.standard_error[rows]
                 )
         self._covariances.add(block)
-        if self._first is None and good.size:
-            self._first = block.first_vertex + int(good[0]), block.coefficients[good[0]].copy()
 
     def finish(self, provenance: dict[str, Any], error_vs_time: NDArray[np.float64], complete: bool) -> Asset:
         """Closes the file and returns the asset, read back; raises StorageError if it cannot be written."""
-        check: dict[str, NDArray[Any]] = {}
-        if self._first is not None:
-            vertex, coefficients = self._first
-            check = selftest(self._head, vertex, coefficients.astype(self._writer.storage), self._light)
+        vertices = selftest_vertices(self._writer.valid)
+        check = selftest(self._head, vertices, self._writer.stored(vertices), self._light)
         if self._writer.storage_note:
             provenance = provenance | {"storage_note": self._writer.storage_note}
         shape = self._covariances.finished()
@@ -201,30 +184,3 @@ class FileSink:
         if complete and self._target != self._out:
             self._target.replace(self._out)
         return read_asset(self._out if complete else self._target, load=False)
-
-
-def selftest(
-    head: AssetHead, vertex: int, coefficients: NDArray[np.floating], folded: NDArray[np.float64] | None
-) -> dict[str, NDArray[Any]]:
-    """A light, some views of one vertex and their radiance, by which importers test themselves.
-
-    coefficients: [B,K,C] of the vertex. folded: the light [K,3] of an asset of radiance. The radiance is interpolated
-    between view bins and not clamped at 0.
-    """
-    count = sh.count(head.degree)
-    fall = 1.0 / (1.0 + np.arange(count))
-    light = np.stack([fall, 0.8 * fall, 0.6 * fall * (-1.0) ** np.arange(count)], axis=-1)
-    a = coefficients.astype(np.float64)
-    if folded is None:
-        by_bin = (a * light).sum(axis=1)
-    else:
-        light, by_bin = folded[:count], np.broadcast_to(a[:, 0], (len(a), 3))
-    local = SELFTEST_LOCAL
-    bins, weights = sphere.bin_weights(local, head.rings, head.sectors)
-    by_bin = np.broadcast_to(by_bin, (head.rings * head.sectors, 3))
-    return {
-        "light": light,
-        "vertex": np.full(len(local), vertex, dtype=np.int64),
-        "outgoing": sphere.to_world(local, head.mesh.normals[vertex], head.tangents[vertex]),
-        "radiance": (by_bin[bins] * weights[..., None]).sum(axis=1),
-    }

@@ -79,7 +79,7 @@ FAULTS: dict[str, tuple[Callable[[Any], Any], str]] = {
 def test_every_fault_is_named(bare: Path, tmp_path: Path, fault: str) -> None:
     change, sentence = FAULTS[fault]
     path = tmp_path / "lobed.h5"
-    add_lobes_to_file(bare, path, lobes(), {})
+    add_lobes_to_file(bare, path, lobes(), {}, {})
     assert check_asset(path) == []
     with h5py.File(path, "r+") as file:
         change(file["lobes"])
@@ -91,7 +91,7 @@ def test_every_fault_is_named(bare: Path, tmp_path: Path, fault: str) -> None:
 @pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
 def test_powers_of_every_size_are_stored(bare: Path, tmp_path: Path, size: float) -> None:
     powers = size * np.random.default_rng(0).normal(size=(V, N, J, 3)).astype(np.float32)
-    add_lobes_to_file(bare, path := tmp_path / "lobed.h5", lobes(powers=powers), {})
+    add_lobes_to_file(bare, path := tmp_path / "lobed.h5", lobes(powers=powers), {}, {})
     stored = prt.read_asset(path).lobes
     assert stored is not None
     np.testing.assert_allclose(stored.powers, powers, rtol=1e-3, atol=1e-4 * size)
@@ -99,14 +99,16 @@ def test_powers_of_every_size_are_stored(bare: Path, tmp_path: Path, size: float
 
 def test_lobes_are_replaced_and_removed(bare: Path, tmp_path: Path) -> None:
     path, before = tmp_path / "lobed.h5", prt.read_asset(bare)
-    add_lobes_to_file(bare, path, lobes(), {"lobes": "first"})
-    add_lobes_to_file(path, path, lobes(sharpness=np.full((V, N, J), 20.0, np.float32)), {"lobes": "second"})
+    add_lobes_to_file(bare, path, lobes(), {"lobes": "first"}, {})
+    add_lobes_to_file(path, path, lobes(sharpness=np.full((V, N, J), 20.0, np.float32)), {"lobes": "second"}, {})
     second = prt.read_asset(path)
     assert second.lobes is not None
     assert (second.lobes.sharpness == 20.0).all()
     assert second.provenance == before.provenance | {"lobes": "second"}
-    add_lobes_to_file(path, path, None, {})
-    assert prt.read_asset(path).lobes is None
+    add_lobes_to_file(path, path, None, {}, {})
+    removed = prt.read_asset(path)
+    assert removed.lobes is None
+    assert removed.selftest == {}
     with h5py.File(path) as file:
         assert file.attrs["format_version"] == "1.0"
 
@@ -115,6 +117,6 @@ def test_a_file_without_its_lobes_is_as_small_as_before(bare: Path, tmp_path: Pa
     many = lobes(axes=np.random.default_rng(0).normal(size=(V, N, J, 3)).astype(np.float32))
     paths = [tmp_path / f"{number}.h5" for number in range(3)]
     for source, path, added in zip([bare, *paths], paths, [None, many, None], strict=False):
-        add_lobes_to_file(source, path, added, {})
+        add_lobes_to_file(source, path, added, {}, {})
     sizes = [path.stat().st_size for path in paths]
     assert sizes[2] == sizes[0] < sizes[1]
