@@ -166,7 +166,7 @@ def test_sides_of_a_sheet_are_not_exchanged(tmp_path: Path) -> None:
     user.node(mesh=user.mesh(user.solid(positions, faces)))
     baked = read_mesh(user.write(tmp_path / "sheet.glb"))
     other = GltfBuilder()  # of coordinates that were rounded by another program
-    other.node(mesh=other.mesh(other.solid(positions.round(4) - np.array([0, 0, 5e-5]), faces)))
+    other.node(mesh=other.mesh(other.solid(positions.round(4) - np.array([0, 0, 7e-5]), faces)))
     found = export(other.write(tmp_path / "user.glb"), baked)
     assert found.vertices(0, 0).tolist() == list(range(8))
 
