@@ -19,6 +19,7 @@ from prt_bake.export.engine_form import engine_form
 from prt_bake.export.quantization import quantized
 from tests import ROOT
 from tests.engines.conftest import RunNode
+from tests.export.test_onto import export, textured
 
 PAGE = (ROOT / "docs/reference/gltf.md").read_text(encoding="utf-8")
 READER: dict[str, Any] = {}
@@ -128,6 +129,17 @@ def test_the_user_file_has_the_same_coefficients(files: Path) -> None:
     assert np.array_equal(onto[1], plain[1][onto[2]])
     assert len(onto[2]) >= onto[0]["vertices"]
     assert READER["check"](files / "onto.glb").startswith("self-test passed")
+
+
+def test_a_file_with_materials_pictures_and_animations_stays_valid(tmp_path: Path, run_node: RunNode) -> None:
+    before = textured().write(tmp_path / "before.glb")
+    found = export(before)
+    assert len(found.json["meshes"][0]["primitives"]) == 2
+    for report in run_node("gltf.mjs", "validate", before, tmp_path / "exported.glb").values():
+        assert (report["errors"], report["warnings"]) == (0, 0), report["messages"]
+    first, second = run_node("gltf.mjs", "three", tmp_path / "exported.glb")
+    for number, mesh in enumerate((first, second)):
+        assert np.array_equal(_of_three(mesh["attributes"]["_prt_3_8"], np.float32), found.read(0, number, "_PRT_3_8"))
 
 
 def test_sizes(files: Path, transformed: tuple[Path, dict[str, int]], run_node: RunNode, tmp_path: Path) -> None:
