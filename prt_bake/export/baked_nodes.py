@@ -51,12 +51,14 @@ def baked_nodes(file: GltfFile, mesh: Mesh) -> list[BakedNode]:
     for one in placed_primitives(file, forest, visible_nodes(file, forest)):
         shown.setdefault(one.node, []).append(one)
     baked = _BakedVertices(mesh)
-    nodes, others, vertices, least = [], [], 0, np.inf
+    nodes, others, vertices, least, largest = [], [], 0, np.inf, 0.0
     for index, primitives in sorted(shown.items()):
         used = [np.unique(one.part.faces) for one in primitives]
-        found, distances = baked.nearest(*_points(primitives, used))
+        positions, normals = _points(primitives, used)
+        found, distances = baked.nearest(positions, normals)
         away = distances > baked.farthest
         vertices, least = vertices + len(away), min(least, distances.min())
+        largest = max(largest, float(np.linalg.norm(np.ptp(positions, axis=0))))
         if away.all():
             others.append(index)
             continue
@@ -74,7 +76,8 @@ def baked_nodes(file: GltfFile, mesh: Mesh) -> list[BakedNode]:
     if not nodes:
         raise MeshError(
             f"{file.path}: none of its {vertices:,} vertices is on the baked mesh; the smallest distance is "
-            f"{least:.3g}, and the mesh's diagonal {mesh.diagonal:.3g}; {_REMEDY}"
+            f"{least:.3g}, its largest object has a diagonal of {largest:.3g}, the mesh of {mesh.diagonal:.3g}; "
+            f"{_REMEDY}"
         )
     if others:
         words = ", ".join(file.node(index) for index in others[:3]) + (", …" if len(others) > 3 else "")

@@ -9,11 +9,13 @@ import json
 import os
 import struct
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from formats.asset import Asset
+from formats.atomic import existing
 from formats.errors import MeshError
 from formats.mesh.gltf.container import open_gltf
 from prt_bake.export.attributes import Exported, prt_attributes, vertex_colours
@@ -34,9 +36,11 @@ def write_onto(asset: Asset, user: str | os.PathLike[str], path: str | os.PathLi
     Raises:
         MeshError: vertices are not on the baked mesh, or the file has compressed geometry, parts in other files, or a
             baked mesh with a skin, morph targets or instances.
-        StorageError: the file cannot be written.
+        StorageError: the file is missing or cannot be written.
     """
-    nodes = baked_nodes(open_gltf(user), asset.mesh)
+    if Path(user).suffix.lower() != ".glb":
+        raise MeshError(f"{user}: expected a .glb file to export onto; export the object as .glb, and bake that file")
+    nodes = baked_nodes(open_gltf(existing(user)), asset.mesh)
     document, buffer = _opened(user)
     meshes = _own_meshes(document, nodes)
     for mesh in meshes:
@@ -73,7 +77,7 @@ def _opened(path: str | os.PathLike[str]) -> tuple[Record, Buffer]:
     with open(path, "rb") as file:
         content = file.read()
     if content[:4] != b"glTF":
-        raise MeshError(f"{path}: expected binary glTF; export it as .glb")
+        raise MeshError(f"{path}: expected binary glTF, found glTF as text; export it as .glb")
     (length,) = struct.unpack_from("<I", content, 12)
     document: Record = json.loads(content[20 : 20 + length].rstrip(b"\0").decode("utf-8-sig"))
     remedy = "export it as one .glb file"

@@ -7,6 +7,7 @@ import prt_bake as prt
 from tests.cli.command_line import Run
 from tests.export.assets import smooth_asset
 from tests.export.glb_reader import read_glb
+from tests.export.test_onto import textured
 
 
 @pytest.fixture
@@ -23,6 +24,18 @@ def test_a_glb_states_its_error_and_what_is_not_in_it(prtbake: Run, asset: Path,
     assert f"at worst {stated['radiance_worst']:.2%}" in outcome.out
     assert "not in the file: light reflected at the surface" in outcome.out
     assert f"{(tmp_path / 'x.glb').stat().st_size:,} bytes" in outcome.out
+
+
+def test_onto_keeps_the_file_that_was_baked(prtbake: Run, tmp_path: Path) -> None:
+    user = textured().write(tmp_path / "user.glb")
+    prt.write_asset(smooth_asset(prt.read_mesh(user)), tmp_path / "user.h5")
+    assert prtbake("export", tmp_path / "user.h5", "-o", tmp_path / "x.glb", "--onto", user).code == 0
+    document = read_glb(tmp_path / "x.glb").document
+    assert [material.get("name") for material in document["materials"]] == [None, "plain"]
+    assert document["meshes"][0]["extras"]["prtbake"]["local_to_object"][0] != 1.0
+    outcome = prtbake("export", tmp_path / "user.h5", "-o", user, "--onto", user)
+    assert outcome.code == 1
+    assert "user.glb: is also the input given as --onto" in outcome.err
 
 
 def test_the_error_chooses_the_degree(prtbake: Run, asset: Path, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """`--onto`: a user's file keeps what it has, and each vertex gets the numbers of the baked vertex at its place."""
 
 import copy
+import io
 import json
 import struct
 from pathlib import Path
@@ -8,9 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import prt_bake as prt
-from formats.errors import InputWarning, MeshError
+from formats.errors import InputWarning, MeshError, StorageError
 from formats.mesh import Mesh, read_mesh
 from formats.mesh.gltf.accessors import Accessors
 from formats.mesh.gltf.container import open_gltf
@@ -20,7 +22,9 @@ from tests.formats.mesh.gltf_files import GltfBuilder
 from tests.formats.mesh.test_mesh import sphere_mesh
 
 TURN = [0.1, 0.2, 0.3, float(np.sqrt(0.86))]
-PICTURE = bytes(range(97))
+_IN_MEMORY = io.BytesIO()
+Image.new("RGB", (8, 8), (200, 120, 40)).save(_IN_MEMORY, "PNG")
+PICTURE = _IN_MEMORY.getvalue()
 
 
 def textured() -> GltfBuilder:
@@ -28,7 +32,8 @@ def textured() -> GltfBuilder:
     file, ball = GltfBuilder(), sphere_mesh()
     corners = np.random.default_rng(3).permutation(ball.faces).ravel()
     positions, normals = ball.positions[corners], ball.normals[corners]
-    shared = {"POSITION": file.accessor(positions), "NORMAL": file.accessor(normals)}
+    bounds = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
+    shared = {"POSITION": file.accessor(positions, **bounds), "NORMAL": file.accessor(normals)}
     shared["TEXCOORD_0"] = file.accessor(positions[:, :2])
     half = len(corners) // 6 * 3
     indices = [file.accessor(part, "u2") for part in (np.arange(half), np.arange(half, len(corners)))]
@@ -166,7 +171,7 @@ def test_sides_of_a_sheet_are_not_exchanged(tmp_path: Path) -> None:
     user.node(mesh=user.mesh(user.solid(positions, faces)))
     baked = read_mesh(user.write(tmp_path / "sheet.glb"))
     other = GltfBuilder()  # of coordinates that were rounded by another program
-    other.node(mesh=other.mesh(other.solid(positions.round(4) - np.array([0, 0, 5e-5]), faces)))
+    other.node(mesh=other.mesh(other.solid(positions.round(4) - np.array([0, 0, 7e-5]), faces)))
     found = export(other.write(tmp_path / "user.glb"), baked)
     assert found.vertices(0, 0).tolist() == list(range(8))
 
@@ -232,7 +237,11 @@ def _two_buffers(user: GltfBuilder) -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (_moved, r"none of its 86 vertices is on the baked mesh; the smallest distance is 0\.\d+, and the mesh's"),
+        (
+            _moved,
+            r"none of its 86 vertices is on the baked mesh; the smallest distance is 0\.\d+, its largest "
+            "object has a diagonal of 3.46, the mesh of 3.46; export onto the file that was baked",
+        ),
         (_dented, r"12 of 86 vertices of nodes\[0\] are not on the baked mesh; the largest distance is 0\.1, "),
         (_morphed, r"nodes\[0\]: has morph targets, but the transport is of one rigid object; apply"),
         (_skinned, r"nodes\[0\]: has a skin, "),
@@ -259,9 +268,13 @@ def test_what_does_not_fit_is_refused_in_one_sentence(change: Any, says: str, tm
     assert not (tmp_path / "exported.glb").exists()
 
 
-def test_text_is_refused(tmp_path: Path) -> None:
+def test_only_binary_gltf_is_taken(tmp_path: Path) -> None:
     user, ball = GltfBuilder(), sphere_mesh()
     user.node(mesh=user.mesh(user.solid(ball.positions, ball.faces)))
     path = user.write(tmp_path / "user.gltf")
-    with pytest.raises(MeshError, match=r"user\.gltf: expected binary glTF; export it as \.glb$"):
+    with pytest.raises(MeshError, match=r"user\.gltf: expected a \.glb file to export onto; export the object as"):
         export(path)
+    with pytest.raises(MeshError, match=r"user\.glb: expected binary glTF, found glTF as text; export it as \.glb$"):
+        export(path.rename(tmp_path / "user.glb"))
+    with pytest.raises(StorageError, match=r"missing\.glb: there is no such file"):
+        export(tmp_path / "missing.glb", ball)

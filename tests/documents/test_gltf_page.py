@@ -1,0 +1,65 @@
+"""The reader in docs/reference/gltf.md reproduces the self-test and, within the stated error, `shade`."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import prt_bake as prt
+from prt_bake.mathematics import sh
+from prt_bake.mathematics.directions import fibonacci
+from tests import ROOT
+from tests.export.assets import smooth_asset
+
+PAGE = (ROOT / "docs" / "reference" / "gltf.md").read_text(encoding="utf-8")
+READER, HARMONICS, CHECK, UNDER_A_SKY = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+FORMS: dict[str, dict[str, Any]] = {
+    "float": {},
+    "int8": {"quantize": "int8"},
+    "degree 6": {"degree": 6},
+    "one light": {"light": np.ones((9, 3))},
+}
+
+
+@pytest.fixture
+def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """The names that the page defines, in a folder with spot.h5, spot.glb and sky.hdr."""
+    monkeypatch.chdir(tmp_path)
+    asset = smooth_asset()
+    prt.write_asset(asset, "spot.h5")
+    prt.export_gltf(asset, "spot.glb")
+    prt.write_image("sky.hdr", np.linspace(0, 1, 8 * 16 * 3).reshape(8, 16, 3))
+    names: dict[str, Any] = {}
+    exec(READER + HARMONICS + CHECK, names)
+    return names
+
+
+def test_the_reader_is_short() -> None:
+    assert len(READER.splitlines()) <= 40
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_reader_passes_the_self_test(page: dict[str, Any], form: str) -> None:
+    prt.export_gltf(smooth_asset(), "form.glb", **FORMS[form])
+    assert page["check"]("form.glb") == "self-test passed"
+
+
+def test_the_page_compares_a_frame_with_shade(page: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
+    exec(UNDER_A_SKY, page)
+    assert capsys.readouterr().out.endswith("True\n")
+    assert 0.001 < page["error"] < 0.1
+
+
+def test_the_harmonics_of_the_page_are_ours(page: dict[str, Any]) -> None:
+    directions = fibonacci(50)
+    np.testing.assert_allclose(page["harmonics"](directions, 8), sh.evaluate(directions, 8), atol=1e-12)
+
+
+def test_the_page_names_every_key_and_attribute(page: dict[str, Any]) -> None:
+    prt.export_gltf(smooth_asset(), "int8.glb", quantize="int8")
+    extras = page["read"]("int8.glb")[0]
+    names = {*extras, *extras["light"], *extras["error"], *extras["selftest"], *extras["texels"]}
+    names |= {"POSITION", "NORMAL", "TEXCOORD_0", "TEXCOORD_1", "COLOR_0", "texel_attribute"}
+    assert [name for name in sorted(names) if f"`{name}`" not in PAGE] == []
