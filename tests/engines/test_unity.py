@@ -100,3 +100,28 @@ def test_files_are_short() -> None:
         lines = path.read_text("utf-8").splitlines()
         assert len(lines) <= 60, path
         assert max(map(len, lines)) <= 120, path
+
+
+def test_the_node_of_unreal_compiles(tmp_path: Path) -> None:
+    """As Unreal makes a function of a Custom node: its inputs are the arguments."""
+    page = (ROOT / "docs/how_to/unity_unreal.md").read_text("utf-8")
+    code = re.search(r"```hlsl\n(.*?)```", page, re.DOTALL)
+    assert code
+    inputs = "Texture2D Coefficients, float2 Texel, float3 ToEye, float3 ToSun, float3 Irradiance, float3 Sky"
+    (tmp_path / "node.hlsl").write_text(
+        f"""#define PRT_VIEW_DEGREE 3
+#define PRT_LIGHT_DEGREE 2
+#include "prtbake.hlsl"
+Texture2D texture0;
+float3 node({inputs}) {{
+{code[1]}}}
+float4 main(float2 texel : TEXCOORD1, float3 eye : A, float3 sun : B) : SV_Position {{
+    return float4(node(texture0, texel, eye, sun, 1, 1), 1);
+}}
+""",
+        "utf-8",
+    )
+    shutil.copy(ROOT / "engines/prtbake.hlsl", tmp_path)
+    command = [program("glslangValidator", "glslang-tools"), "-D", "-V", "-e", "main", "-S", "vert", "node.hlsl"]
+    done = subprocess.run([*command, "-o", "node.spv"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
