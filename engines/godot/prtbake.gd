@@ -43,12 +43,7 @@ func _light(instance: MeshInstance3D, about: Dictionary) -> void:
 			for k in 9:
 				radiance += _harmonics(one)[k] * sky[k]
 			_add(b, turn * one, radiance * TAU / 6.0)
-	var light: PackedVector3Array = []
-	for r in int((about["view_degree"] + 1) ** 2):
-		for k in b.size():
-			var scale_of: Array = about["scales"][r][k] if about["quantize"] else [1.0, 1.0, 1.0]
-			light.append(b[k] * Vector3(scale_of[0], scale_of[1], scale_of[2]))
-	instance.material_override.set_shader_parameter("light", light)
+	instance.material_override.set_shader_parameter("light", b)
 	instance.material_override.set_shader_parameter("to_object", local)
 
 
