@@ -81,7 +81,6 @@ def test_pictures_and_attributes(blender: Path, sky: Path, tmp_path: Path) -> No
     ]
     rendered(blender, jobs, tmp_path)
     for case, job, situation in zip(CASES, jobs, situations, strict=True):
-        print(case, difference(job, situation, sky))
         assert difference(job, situation, sky) <= MOST, case
         imported = np.load(job["attributes"])
         stored = read_glb(Path(job["glb"])).attributes
