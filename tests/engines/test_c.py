@@ -78,7 +78,9 @@ def example(folder: Path) -> Path:
 def check(eyes: Path, path: Path, light: Any = LIGHT) -> None:
     """Compare the self-test, and frames for random eyes, with those of the package."""
     asset = prt.read_asset(path)
-    b = np.zeros((9, 3)) if light is None else light
+    b = np.zeros((9, 3))
+    if light is not None:
+        b[: len(light)] = light
     views = np.random.default_rng(2).normal(size=(5, 3)) * 3.0 + asset.mesh.center
     rows = np.hstack([views, np.tile(b.ravel(), (5, 1))])
     done = subprocess.run([eyes, path], input=rows.tobytes(), capture_output=True, check=True)
