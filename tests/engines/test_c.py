@@ -1,5 +1,6 @@
 """`engines/prtbake.h` in C and C++: the self-test, the radiance of `prt.shade`, and a sentence for each bad file."""
 
+import re
 import shlex
 import subprocess
 from collections.abc import Callable
@@ -121,6 +122,24 @@ def test_the_example_prints_the_radiance_under_its_sun(example: Path, spot: Path
 
 def test_it_compiles_as_cpp(folder: Path) -> None:
     compiled(ENGINES / "example.c", folder / "example_cpp", "C++")
+
+
+def test_the_page_compiles_and_runs(spot: Path, tmp_path: Path) -> None:
+    page = (ROOT / "docs/how_to/own_renderer.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```c\n(.*?)```", page, re.DOTALL)
+    last = "prt_close(&asset);"
+    assert last in block
+    block = block.replace(last, f'printf("%.9g %.9g %.9g", rgb[0], rgb[1], rgb[2]);\n{last}')
+    source = f'#include "prtbake.h"\nint main(void) {{\n{block}return 0;\n}}\n'
+    (tmp_path / "page.c").write_text(source, encoding="utf-8")
+    done = subprocess.run(
+        [compiled(tmp_path / "page.c", tmp_path / "page", "C")], cwd=spot, capture_output=True, text=True, check=True
+    )
+    asset = prt.read_asset(spot / "spot.h5")
+    views = np.tile([0.0, 0.6, 0.8], (len(asset.valid), 1))
+    expected = prt.shade(asset, np.sqrt(4.0 * np.pi) * np.eye(9)[:, :1] * np.ones(3), views)[-1]
+    np.testing.assert_allclose([float(value) for value in done.stdout.split()], expected, rtol=1e-6)
+    assert done.stderr == ""
 
 
 def test_a_program_that_uses_a_part_has_no_warnings(tmp_path: Path) -> None:
