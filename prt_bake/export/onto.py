@@ -81,8 +81,9 @@ def _opened(path: str | os.PathLike[str]) -> tuple[Record, Buffer]:
     (length,) = struct.unpack_from("<I", content, 12)
     document: Record = json.loads(content[20 : 20 + length].rstrip(b"\0").decode("utf-8-sig"))
     remedy = "export it as one .glb file"
-    for index, image in enumerate(document.get("images", [])):
-        uri = image.get("uri", "data:")
+    images = document.get("images")
+    for index, image in enumerate(images if isinstance(images, list) else []):
+        uri = str(image.get("uri", "data:")) if isinstance(image, dict) else "data:"
         if uri[:5].lower() != "data:":
             raise MeshError(f"{path}: images[{index}]: is in another file, {uri[:80]!r}; {remedy}")
     if len(document["buffers"]) > 1 or "uri" in document["buffers"][0]:

@@ -1,6 +1,8 @@
 """The reader in docs/reference/gltf.md reproduces the self-test and, within the stated error, `shade`."""
 
+import json
 import re
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -63,3 +65,28 @@ def test_the_page_names_every_key_and_attribute(page: dict[str, Any]) -> None:
     names = {*extras, *extras["light"], *extras["error"], *extras["selftest"], *extras["texels"]}
     names |= {"POSITION", "NORMAL", "TEXCOORD_0", "TEXCOORD_1", "COLOR_0", "texel_attribute"}
     assert [name for name in sorted(names) if f"`{name}`" not in PAGE] == []
+
+
+def rearranged(source: str, target: str, order: np.ndarray) -> None:
+    """Write a file whose vertices are the vertices `order` of another one; faces are not changed."""
+    content = bytearray(Path(source).read_bytes())
+    (length,) = struct.unpack_from("<I", content, 12)
+    document = json.loads(content[20 : 20 + length])
+    for accessor in document["meshes"][0]["primitives"][0]["attributes"].values():
+        view = document["bufferViews"][document["accessors"][accessor]["bufferView"]]
+        rows = np.frombuffer(content, np.uint8, view["byteLength"], 28 + length + view["byteOffset"])
+        rows = rows.reshape(len(order), -1)
+        rows[:] = rows[order]
+    Path(target).write_bytes(content)
+
+
+def test_the_page_finds_what_other_programs_have_changed(page: dict[str, Any]) -> None:
+    count = len(smooth_asset().valid)
+    rearranged("spot.glb", "reordered.glb", np.random.default_rng(0).permutation(count))
+    assert page["check"]("reordered.glb") == "self-test passed, vertices reordered"
+    rearranged("spot.glb", "merged.glb", np.where(np.arange(count) == 5, 4, np.arange(count)))
+    assert page["check"]("merged.glb") == f"1 of {count} vertices were merged or removed"
+    content = bytearray(Path("spot.glb").read_bytes())
+    content[-100_000:-50_000] = content[-100_000 + 12 : -50_000 + 12]  # coefficients of a neighbour
+    Path("damaged.glb").write_bytes(content)
+    assert page["check"]("damaged.glb").startswith("self-test off by")
