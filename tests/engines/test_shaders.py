@@ -120,7 +120,7 @@ def degrees(text: str, scene: Scene) -> str:
 
 
 def bits(halves: NDArray[np.float16]) -> list[int]:
-    found: list[int] = halves.view(np.uint16).ravel().tolist()
+    found: list[int] = np.ascontiguousarray(halves).view(np.uint16).ravel().tolist()
     return found
 
 
@@ -227,7 +227,7 @@ def in_browser(run_node: RunNode, folder: Path, jobs: list[dict[str, Any]], *opt
     (folder / "jobs.json").write_text(json.dumps(jobs))
     (folder / "shaders.mjs").write_bytes((HERE / "shaders.mjs").read_bytes())
     (folder / "index.html").write_text('<script type="module" src="shaders.mjs"></script>')
-    return [np.array(one).reshape(COUNT, 3) for one in run_node("browser.mjs", *options, folder, "index.html")]
+    return [np.array(one).reshape(-1, 3) for one in run_node("browser.mjs", *options, folder, "index.html")]
 
 
 def compare(found: list[NDArray[np.float64]]) -> None:
