@@ -13,7 +13,7 @@ from prt_bake.geometry.camera import Camera
 from tests.engines.conftest import RunNode
 
 Step = list[Any]
-BACKENDS = {"webgl": {"query": "backend=webgl"}, "webgpu": {"webgpu": True}}
+BACKENDS: dict[str, dict[str, Any]] = {"webgl": {"query": "backend=webgl"}, "webgpu": {"webgpu": True}}
 
 
 def make_site(folder: Path, assets: Sequence[Path], lights: Sequence[Path] = ()) -> Path:

@@ -78,7 +78,9 @@ def test_vertices_of_assets(name: str, backend: str, run_node: RunNode, tmp_path
     away = 3.0 * np.ptp(asset.mesh.positions, axis=0).max()
     eyes = middle + away * np.array([[0.3, 0.2, 1.0], [-1.0, 0.1, -0.2], [0.1, -1.0, 0.3]])
     steps = [["ready"], ["state"], *(["radiance", eye.tolist(), light.ravel().tolist()] for eye in eyes)]
-    _, state, *found = drive(run_node, make_site(tmp_path / "site", [tmp_path / "asset.h5"]), steps, **BACKENDS[backend])
+    _, state, *found = drive(
+        run_node, make_site(tmp_path / "site", [tmp_path / "asset.h5"]), steps, **BACKENDS[backend]
+    )
     assert state["backend"] == backend
     assert state["message"] == ""
     for eye, radiance in zip(eyes, found, strict=True):
@@ -95,7 +97,7 @@ def test_vertices_of_glb(
     asset, light = smooth_asset(up=up, unit="cm"), light_of(2)
     path = tmp_path / "asset.glb"
     export_gltf(asset, path, degree, quantize=quantize, light=light if folded else None, light_name="a light")
-    eye = asset.mesh.positions.mean(axis=0) + [3.0, 2.0, 6.0]
+    eye = asset.mesh.positions.mean(axis=0) + np.array([3.0, 2.0, 6.0])
     steps = [["ready"], ["state"], ["radiance", eye.tolist(), light.ravel().tolist()]]
     _, state, found = drive(run_node, make_site(tmp_path / "site", [path]), steps, **BACKENDS[backend])
     form = engine_form(asset, degree, light if folded else None)
@@ -119,7 +121,7 @@ def test_a_bake(kind: str, backend: str, spot: Path, run_node: RunNode, tmp_path
     path = (spot if kind == "plain" else tmp_path) / "spot.h5"
     sky, camera, eye = prt.read_environment(spot / "sky.hdr"), prt.fit_camera(asset.mesh, 120, 90), [-1.0, 2.0, 3.0]
     light = prt.rotate_light(prt.project_environment(sky, up=asset.up), 30.0, asset.up).ravel().tolist()
-    steps = [["ready"], ["state"], ["radiance", eye, light], ["picture", camera_of(camera, 3), light]]
+    steps: list[Any] = [["ready"], ["state"], ["radiance", eye, light], ["picture", camera_of(camera, 3), light]]
     site = make_site(tmp_path / "site", [path], [spot / "sky.hdr"])
     _, state, radiance, rows = drive(run_node, site, steps, **BACKENDS[backend])
     assert state["selftest"] < 1e-3
@@ -142,7 +144,12 @@ def test_the_light_of_a_sky(run_node: RunNode, tmp_path: Path) -> None:
     prt.write_image(tmp_path / "small.exr", np.random.default_rng(1).random((6, 12, 3)).astype(np.float32))
     site = make_site(tmp_path / "site", [tmp_path / "y.h5", tmp_path / "z.h5"], [example("sky.hdr")])
     steps = [["ready"], ["coefficients"], ["click", "#next"], ["work"], ["slide", "#turn", "30"], ["coefficients"]]
-    steps += [["drop", str(tmp_path / "small.hdr")], ["coefficients"], ["drop", str(tmp_path / "small.exr")], ["coefficients"]]
+    steps += [
+        ["drop", str(tmp_path / "small.hdr")],
+        ["coefficients"],
+        ["drop", str(tmp_path / "small.exr")],
+        ["coefficients"],
+    ]
     found = [each for each in drive(run_node, site, steps, **BACKENDS["webgl"]) if each]
     small = [prt.read_environment(tmp_path / f"small.{kind}") for kind in ("hdr", "exr")]
     expected = [prt.project_environment(sky, 3, "y")]
