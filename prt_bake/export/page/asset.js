@@ -46,7 +46,7 @@ function readRecord(reader) {
   if (!/^1\./.test(version)) throw new Failure(`has version ${version} of the format, and this page reads 1.x; export a newer page.`);
   const group = shape("/transfer_compact/digits_0") ? "/transfer_compact" : "/transfer", sectors = attribute("/bins", "sectors");
   const [positions, normals, tangents, faces] = ["positions", "normals", "tangents", "faces"].map((name) => read(`/mesh/${name}`));
-  const [light, vertex, outgoing, radiance] = ["light", "vertex", "outgoing", "radiance"].map((name) => read(`/selftest/${name}`));
+  const [light, vertex, outgoing, radiance] = ["light", "vertex", "outgoing", "radiance"].map((name) => (shape("/selftest/light") ? read(`/selftest/${name}`) : []));
   const bake = JSON.parse(reader.text("/provenance/json") ?? "{}").estimated_relative_rmse?.total;
   const error = [["network", attribute("/", "network_error")?.[0]], ["bake", bake]];
   return {

@@ -10,7 +10,7 @@ export async function readGlb(bytes) {
     throw new Failure("is truncated or damaged; copy it again.", { cause });
   });
   const { json, associations } = gltf.parser, index = (json.meshes ?? []).findIndex((mesh) => mesh.extras?.prtbake), parts = [];
-  if (index < 0) throw new Failure("has no data of prtbake; if another program wrote it, export it again.");
+  if (index < 0) throw new Failure("has no data of prtbake; if another program wrote it, export again.");
   const about = json.meshes[index].extras.prtbake, { width, height } = about.texels, { light, vertex, outgoing, radiance } = about.selftest;
   if (!/^1\./.test(about.version)) throw new Failure(`has version ${about.version} of the layout, and this page reads 1.x; export a newer page.`);
   gltf.scene.traverse((one) => one.isMesh && associations.get(one)?.meshes === index && parts.push(one));

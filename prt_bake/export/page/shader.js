@@ -104,7 +104,7 @@ export class Model {
     const start = this.texture(Float32Array.from({ length: 4 * (wide + 1) }, (_, i) => first[Math.min(R, i >> 2)]));
     this.light = this.texture(new Float32Array(3 * channels.length));
     this.table = this.texture(table);
-    this.folded = this.keep(new THREE.RenderTarget(side, Math.ceil((this.count * wide) / side), { type: THREE.HalfFloatType, depthBuffer: false }));
+    this.folded = this.keep(new THREE.RenderTarget(side, Math.ceil((this.count * wide) / side), { type: THREE.FloatType, depthBuffer: false }));
     const material = this.keep(new THREE.NodeMaterial());
     material.fragmentNode = Fn(() => {
       const pixel = int(TSL.screenCoordinate.y).mul(side).add(int(TSL.screenCoordinate.x)), sum = vec3(0).toVar();
@@ -161,14 +161,14 @@ export class Model {
     return Float32Array.from({ length: 3 * this.count }, (_, i) => pixels[4 * Math.floor(i / 3) + (i % 3)]);
   }
 
-  /** The largest difference from the self-test, relative to its largest radiance; NaN if its vertices are not there. */
+  /** The largest difference from the self-test, relative to its largest radiance; NaN if there is none, or its vertices are gone. */
   async selftest() {
     const { light, vertex, outgoing, radiance } = this.record.selftest, differences = [];
-    this.setLight(light);
+    if (vertex.length) this.setLight(light);
     for (const [s, v] of vertex.entries()) {
       const found = await this.read(...outgoing.slice(3 * s, 3 * s + 3), 0);
       RGB.forEach((c) => differences.push(Math.abs(found[3 * v + c] - radiance[3 * s + c])));
     }
-    return Math.max(...differences) / Math.max(...radiance.map(Math.abs));
+    return differences.length ? Math.max(...differences) / Math.max(...radiance.map(Math.abs)) : NaN;
   }
 }

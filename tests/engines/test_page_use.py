@@ -1,0 +1,289 @@
+"""What a person does on the page: orbit, turn the light, drop files; and what the page says of bad files."""
+
+import json
+import os
+import re
+import struct
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+import prt_bake as prt
+from formats.asset import write_asset
+from prt_bake.export.gltf import export_gltf
+from prt_bake.shipped.examples import example
+from tests.engines.conftest import RunNode
+from tests.engines.pages import BACKENDS, drive, make_site
+from tests.export.assets import smooth_asset
+
+pytestmark = pytest.mark.usefixtures("chromium")
+
+WEBGL = BACKENDS["webgl"]
+HDF5_ERRORS = ["HDF5", "#0", "major:", "minor:", "H5"]
+READS = "and this page reads 1.x; export a newer page."
+INCOMPLETE = "Files of this page are missing on the server; export it again, with its folder vendor."
+LEFT, RIGHT = [250, 200], [350, 230]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with asset.h5, asset.glb and sky.hdr."""
+    folder = tmp_path_factory.mktemp("files")
+    asset = smooth_asset()
+    write_asset(asset, folder / "asset.h5")
+    export_gltf(asset, folder / "asset.glb", 3)
+    (folder / "sky.hdr").write_bytes(example("sky.hdr").read_bytes())
+    return folder
+
+
+@pytest.fixture
+def site(files: Path, tmp_path: Path) -> Path:
+    return make_site(tmp_path / "site", [files / "asset.h5", files / "asset.glb"], [files / "sky.hdr"])
+
+
+def states(run_node: RunNode, site: Path, *between: list[Any], **job: Any) -> list[dict[str, Any]]:
+    """The state of the page when it is ready, and after each of the steps."""
+    steps: list[list[Any]] = [["ready"], ["state"]]
+    for step in between:
+        steps += [step, ["rest"], ["state"]]
+    return [found for found in drive(run_node, site, steps, **(WEBGL | job)) if found]
+
+
+def test_drag_orbits_and_with_shift_turns_the_light(run_node: RunNode, site: Path) -> None:
+    first, orbit, shift, right, button, pressed = states(
+        run_node,
+        site,
+        ["drag", LEFT, RIGHT],
+        ["drag", LEFT, RIGHT, {"key": "Shift"}],
+        ["drag", LEFT, RIGHT, {"button": "right"}],
+        ["click", "#drag"],
+        ["drag", RIGHT, LEFT],
+    )
+    assert orbit["eye"] != first["eye"]
+    assert orbit["turn"] == 0.0
+    assert shift["turn"] == pytest.approx(40.0, abs=1.0)
+    assert np.allclose(shift["eye"], right["eye"], atol=1e-2)
+    assert right["turn"] == pytest.approx(80.0, abs=2.0)
+    assert pressed["turn"] == pytest.approx(40.0, abs=3.0)
+    assert pressed["eye"] == button["eye"]
+
+
+def test_the_sun_is_dragged_in_both_directions(run_node: RunNode, site: Path) -> None:
+    first, sun, dragged = states(run_node, site, ["click", "#next-light"], ["drag", LEFT, RIGHT, {"key": "Shift"}])
+    assert (first["light"], sun["light"]) == ("sky.hdr", "sun")
+    assert (first["heightShown"], sun["heightShown"]) == (False, True)
+    assert dragged["turn"] == pytest.approx(40.0, abs=1.0)
+    assert dragged["height"] == pytest.approx(31.0, abs=1.0)
+
+
+def test_a_finger_orbits_a_phone(run_node: RunNode, site: Path) -> None:
+    phone = {"touch": True, "width": 390, "height": 844}
+    first, orbit = states(run_node, site, ["swipe", [150, 300], [250, 320]], **phone)
+    assert orbit["eye"] != first["eye"]
+
+
+def test_next_object_and_dropped_files(run_node: RunNode, site: Path, files: Path, tmp_path: Path) -> None:
+    write_asset(smooth_asset(degree=1), tmp_path / "dropped.h5")
+    prt.write_image(tmp_path / "evening.hdr", np.ones((8, 16, 3), np.float32))
+    first, second, dropped, lit = states(
+        run_node,
+        site,
+        ["click", "#next"],
+        ["drop", str(tmp_path / "dropped.h5")],
+        ["drop", str(tmp_path / "evening.hdr")],
+    )
+    assert first["name"] == second["name"] == "asset"
+    assert first["error"] != second["error"]
+    assert "this form adds" in second["error"]
+    assert "reflected at the surface" in first["leftOut"]
+    assert dropped["name"] == "dropped.h5"
+    assert "4 coefficients" in dropped["leftOut"]
+    assert lit["light"] == "evening.hdr"
+    assert all(state["message"] == "" for state in (first, second, dropped, lit))
+
+
+def other_version(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        file.attrs["format_version"] = "2.0"
+
+
+def other_format(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        file.attrs["format"] = "another"
+
+
+def cut(path: Path) -> None:
+    os.truncate(path, path.stat().st_size * 2 // 3)
+
+
+def rewritten(path: Path, change: Any) -> None:
+    """Change the JSON of a GLB."""
+    content = path.read_bytes()
+    size = struct.unpack_from("<I", content, 12)[0]
+    document = json.loads(content[20 : 20 + size])
+    change(document)
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    rest = content[20 + size :]
+    path.write_bytes(struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON") + text + rest)
+
+
+def without_extras(path: Path) -> None:
+    rewritten(path, lambda document: document["meshes"][0].pop("extras"))
+
+
+def without_attributes(path: Path) -> None:
+    rewritten(path, lambda document: document["meshes"][0]["primitives"][0]["attributes"].pop("_PRT_2_1"))
+
+
+def newer(path: Path) -> None:
+    rewritten(path, lambda document: document["meshes"][0]["extras"]["prtbake"].update(version="2.0"))
+
+
+def text(path: Path) -> None:
+    path.write_text("a letter")
+
+
+def xyz(path: Path) -> None:
+    path.write_bytes(path.read_bytes().replace(b"32-bit_rle_rgbe", b"32-bit_rle_xyze"))
+
+
+@pytest.mark.parametrize(
+    ("name", "damage", "says"),
+    [
+        ("asset.h5", cut, "asset.h5 is truncated or damaged; copy it again."),
+        (
+            "asset.h5",
+            other_version,
+            f"asset.h5 has version 2.0 of the format, {READS}",
+        ),
+        ("asset.h5", other_format, "asset.h5 is an HDF5 file, but no asset of prtbake."),
+        ("asset.glb", cut, "asset.glb is truncated or damaged; copy it again."),
+        ("asset.glb", newer, f"asset.glb has version 2.0 of the layout, {READS}"),
+        (
+            "asset.glb",
+            without_extras,
+            "asset.glb has no data of prtbake; if another program wrote it, export again.",
+        ),
+        ("asset.glb", without_attributes, "asset.glb has lost _PRT_2_1 in another program; export it again."),
+        ("sky.hdr", cut, r"sky.hdr is truncated in row \d+ of 256; copy it again."),
+        ("sky.hdr", xyz, "sky.hdr is stored in an unusual order or in XYZ; save it again as RGBE."),
+        ("asset.h5", text, "asset.h5 is neither an asset (.h5, .glb) nor a sky (.hdr, .exr)."),
+    ],
+)
+def test_what_the_page_says_of_a_bad_file(
+    name: str, damage: Any, says: str, run_node: RunNode, site: Path, files: Path, tmp_path: Path
+) -> None:
+    """The object stays, and a file that is good is shown after it."""
+    bad = tmp_path / name
+    bad.write_bytes((files / name).read_bytes())
+    damage(bad)
+    first, dropped, after = states(
+        run_node,
+        site,
+        ["drop", str(bad)],
+        ["drop", str(files / "asset.glb")],
+        allowed=HDF5_ERRORS,
+    )
+    assert re.fullmatch(re.escape(says).replace(r"\\d\+", r"\d+"), dropped["message"])
+    assert dropped["name"] == first["name"] == "asset"
+    assert (after["message"], after["name"]) == ("", "asset.glb")
+
+
+def moved(path: Path) -> Path:
+    """The vertices of a GLB in another order, as other programs leave them."""
+    content = bytearray(path.read_bytes())
+    size = struct.unpack_from("<I", content, 12)[0]
+    document = json.loads(content[20 : 20 + size])
+    start = 28 + size
+    primitive = document["meshes"][0]["primitives"][0]
+    count = document["accessors"][primitive["attributes"]["POSITION"]]["count"]
+    order = np.random.default_rng(0).permutation(count)
+    for accessor in primitive["attributes"].values():
+        described = document["accessors"][accessor]
+        view = document["bufferViews"][described["bufferView"]]
+        at = start + view.get("byteOffset", 0) + described.get("byteOffset", 0)
+        width = {"VEC2": 2, "VEC3": 3}[described["type"]]
+        numbers = np.frombuffer(content, np.float32, count * width, at).reshape(count, width)
+        content[at : at + numbers.nbytes] = numbers[order].tobytes()
+    described = document["accessors"][primitive["indices"]]
+    kind = {5123: np.uint16, 5125: np.uint32}[described["componentType"]]
+    at = start + document["bufferViews"][described["bufferView"]].get("byteOffset", 0)
+    corners = np.frombuffer(content, kind, described["count"], at)
+    content[at : at + corners.nbytes] = np.argsort(order)[corners].astype(kind).tobytes()
+    path.write_bytes(content)
+    return path
+
+
+def test_a_reordered_glb_meets_its_self_test_and_a_changed_one_does_not(
+    run_node: RunNode, files: Path, tmp_path: Path
+) -> None:
+    for name in ("reordered.glb", "merged.glb"):
+        (tmp_path / name).write_bytes((files / "asset.glb").read_bytes())
+    moved(tmp_path / "reordered.glb")
+    rewritten(tmp_path / "merged.glb", swap_attributes)
+    site = make_site(tmp_path / "site", [tmp_path / "reordered.glb", tmp_path / "merged.glb"])
+    good, bad = states(run_node, site, ["click", "#next"])
+    assert good["check"] == "meets its self-test"
+    assert bad["check"].startswith("fails its self-test: ")
+
+
+def swap_attributes(document: dict[str, Any]) -> None:
+    attributes = document["meshes"][0]["primitives"][0]["attributes"]
+    attributes["_PRT_1_0"], attributes["_PRT_2_0"] = attributes["_PRT_2_0"], attributes["_PRT_1_0"]
+
+
+NO_GRAPHICS = """
+Object.defineProperty(Navigator.prototype, "gpu", { get: () => undefined });
+HTMLCanvasElement.prototype.getContext = () => null;
+"""
+
+
+def test_a_browser_without_graphics_and_a_lost_one(run_node: RunNode, site: Path) -> None:
+    without = states(run_node, site, before=NO_GRAPHICS)[0]
+    assert without["message"].startswith("This browser has neither WebGL 2 nor WebGPU")
+    _, lost = states(run_node, site, ["lose"], allowed=["CONTEXT_LOST", "WebGL"])
+    assert lost["message"] == "The graphics device was lost; reload the page."
+
+
+@pytest.mark.parametrize(
+    ("missing", "says"),
+    [
+        ("site.json", "site.json is missing on the server; export the page again."),
+        ("asset.h5", "asset.h5 is missing on the server; export the page again."),
+        ("sky.hdr", "sky.hdr is missing on the server; export the page again."),
+        (
+            "vendor/three/three.webgpu.js",
+            "Files of this page are missing on the server; export it again, with its folder vendor.",
+        ),
+        ("viewer.js", INCOMPLETE),
+    ],
+)
+def test_missing_files(missing: str, says: str, run_node: RunNode, site: Path) -> None:
+    (site / missing).unlink()
+    steps: list[Any] = [["wait", 3000], ["ready"], ["state"]]
+    assert drive(run_node, site, steps, allowed=["404", "ERR_ABORTED"], **WEBGL)[-1]["message"] == says
+
+
+def test_a_page_that_was_opened_as_a_file_says_how_to_serve_it(run_node: RunNode, site: Path) -> None:
+    job = {"address": (site / "index.html").as_uri(), "allowed": [".*"]}
+    state = drive(run_node, site, [["wait", 500], ["state"]], **job)[-1]
+    assert state["message"].startswith("Browsers show this page from a web server only: run “python -m http.server”")
+
+
+def test_a_sky_of_8k(run_node: RunNode, site: Path, tmp_path: Path) -> None:
+    """A phone lights the object by it: the page reads it row by row."""
+    rows = np.tile(np.array([128, 64, 32, 128], np.uint8), 8192 * 4096).tobytes()
+    (tmp_path / "8k.hdr").write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4096 +X 8192\n" + rows)
+    (site / "8k.hdr").write_bytes((tmp_path / "8k.hdr").read_bytes())
+    (site / "site.json").write_text(
+        json.dumps({"objects": [{"name": "asset", "file": "asset.h5"}], "lights": [{"name": "8k", "file": "8k.hdr"}]})
+    )
+    steps: list[Any] = [["ready"], ["state"], ["coefficients"]]
+    _, state, light = drive(run_node, site, steps, touch=True, **(WEBGL | {"width": 390, "height": 844}))
+    assert state["message"] == ""
+    assert np.allclose(light[:3], np.sqrt(4.0 * np.pi) * np.array([0.5, 0.25, 0.125]), rtol=1e-6)
+    assert np.allclose(light[3:], 0.0, atol=1e-6)
