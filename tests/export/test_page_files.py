@@ -18,7 +18,9 @@ def imports(path: Path) -> set[str]:
     """What a module imports, as names below the page's folder."""
     names = set()
     for found in _IMPORT.findall(path.read_text(encoding="utf-8")):
-        prefix = max((key for key in MAP if found == key or key.endswith("/") and found.startswith(key)), default=None)
+        prefix = max(
+            (key for key in MAP if found == key or (key.endswith("/") and found.startswith(key))), default=None
+        )
         if prefix is not None:
             names.add(posixpath.normpath(MAP[prefix] + found[len(prefix) :]))
         elif found.startswith("."):
