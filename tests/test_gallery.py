@@ -1,6 +1,7 @@
 """The gallery of the documentation: its page is what its script writes, and the script resumes."""
 
 import json
+import re
 import subprocess
 import sys
 import tomllib
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+import prt_bake as prt
 from docs.live_page import marked, write_live
 from docs.make_gallery import section
 from prt_bake.inspection.files import find_faults
@@ -36,6 +38,7 @@ def test_assets_of_the_live_page_are_small_and_sound() -> None:
     assert max(path.stat().st_size for path in live) <= 1 << 20
     assert sum(path.stat().st_size for path in live) <= 5 << 20
     assert [fault for path in live for fault in find_faults(path)] == []
+    assert not [path for path in live if re.search(r'["\s][/\\]\w|\w:\\', str(prt.read_asset(path).provenance))]
 
 
 def test_the_live_page_shows_them_under_its_lights(
