@@ -114,7 +114,7 @@ shipped: .venv/installed-evaluate
 		-o prt_bake/shipped/reference.exr --view three-quarter-back --size 256x256 --spp 2048 --report prt_bake/shipped/reference.json
 
 clean:
-	rm -rf .venv demo bench build dist docs/build $(PAGE)/vendor
+	rm -rf .venv demo bench build dist docs/build tests/engines/node_modules $(PAGE)/vendor
 
 # Triton interprets GPU kernels in tests on machines without a GPU. It has a separate folder: a process cannot use both its
 # LLVM and that of OpenGL, and torch loads Triton wherever it finds it.
