@@ -30,7 +30,7 @@ def write_onto(asset: Asset, user: str | os.PathLike[str], path: str | os.PathLi
     """Write the file `user` with the vertex attributes of a prepared export to `path`.
 
     Each mesh of the baked object gets the attributes `_PRT_…`, the texel of the baked vertex in the next set of texture
-    coordinates, COLOR_0 if it has none, and the key "prtbake" of its extras. Other objects are left as they are, with
+    coordinates, COLOR_0 if it has neither colours nor a material, and the key "prtbake" of its extras. Other objects are left as they are, with
     an InputWarning. A mesh that several nodes show is copied for each of them.
 
     Raises:
@@ -51,16 +51,18 @@ def write_onto(asset: Asset, user: str | os.PathLike[str], path: str | os.PathLi
     columns = {"COLOR_0": colours, f"TEXCOORD_{texel}": texel_coordinates(len(asset.valid))}
     for mesh, node in zip(meshes, nodes, strict=True):
         for accessor, vertices in node.vertices.items():
-            primitives = (mesh["primitives"][number]["attributes"] for number in node.shown)
-            alike = [attributes for attributes in primitives if attributes["POSITION"] == accessor]
+            primitives = [mesh["primitives"][number] for number in node.shown]
+            alike = [one for one in primitives if one["attributes"]["POSITION"] == accessor]
             added = prt_attributes(buffer, exported, vertices)
             for name, values in columns.items():
-                if any(name not in attributes for attributes in alike):
+                if any(name not in one["attributes"] for one in alike):
                     added[name] = buffer.add_vertices(values[vertices])
+            if any("material" in one for one in alike):
+                added.pop("COLOR_0", None)  # it would be multiplied into the base colour
             # Sets of texture coordinates are numbered without gaps.
             added |= {f"TEXCOORD_{number}": added[f"TEXCOORD_{texel}"] for number in range(texel)}
-            for attributes in alike:
-                attributes.update(added | attributes)
+            for one in alike:
+                one["attributes"].update(added | one["attributes"])
         used = np.unique(np.concatenate(list(node.vertices.values())))
         entries = exported.extras | {
             "texel_attribute": f"TEXCOORD_{texel}",

@@ -17,12 +17,13 @@ export async function readGlb(bytes) {
   const R = (about.view_degree + 1) ** 2, K = about.quantity === "radiance" ? 1 : (about.light_degree + 1) ** 2, texels = Math.ceil((3 * K) / 4);
   const V = parts.reduce((sum, { geometry }) => sum + geometry.attributes.position.count, 0), data = new Float32Array(V * R * texels * 4);
   const toObject = new Matrix3().set(...about.local_to_object), positions = new Float32Array(3 * V), faces = [], numbers = [];
+  const texelSet = `uv${(about.texel_attribute ?? "TEXCOORD_1").slice("TEXCOORD_".length)}`;
   for (const { geometry } of parts) {
-    const before = numbers.length, { position, uv1 } = geometry.attributes, corners = geometry.index;
+    const before = numbers.length, { position, [texelSet]: texel } = geometry.attributes, corners = geometry.index;
     for (let i = 0; i < (corners ?? position).count; i++) faces.push(before + (corners ? corners.getX(i) : i));
     for (let v = 0; v < position.count; v++) {
       new Vector3().fromBufferAttribute(position, v).applyMatrix3(toObject).toArray(positions, 3 * (before + v));
-      numbers.push(uv1 ? Math.floor(uv1.getX(v) * width) + width * Math.floor(uv1.getY(v) * height) : v);
+      numbers.push(texel ? Math.floor(texel.getX(v) * width) + width * Math.floor(texel.getY(v) * height) : v);
     }
     for (let i = 0; i < R * K; i++) {
       const [r, k] = [Math.floor(i / K), i % K], name = about.attributes.replace("{r}", r).replace("{k}", k);
