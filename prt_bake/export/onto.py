@@ -30,8 +30,8 @@ def write_onto(asset: Asset, user: str | os.PathLike[str], path: str | os.PathLi
     """Write the file `user` with the vertex attributes of a prepared export to `path`.
 
     Each mesh of the baked object gets the attributes `_PRT_…`, the texel of the baked vertex in the next set of texture
-    coordinates, COLOR_0 if it has neither colours nor a material, and the key "prtbake" of its extras. Other objects are left as they are, with
-    an InputWarning. A mesh that several nodes show is copied for each of them.
+    coordinates, COLOR_0 if it has neither colours nor a material, and the key "prtbake" of its extras. Other objects
+    are left as they are, with an InputWarning. A mesh that several nodes show is copied for each of them.
 
     Raises:
         MeshError: vertices are not on the baked mesh, or the file has compressed geometry, parts in other files, or a
