@@ -100,11 +100,20 @@ def test_one_light_folded_in(blender: Path, sky: Path, tmp_path: Path) -> None:
     assert difference(job, situation, sky) <= MOST
 
 
-def test_numbers_of_8_bits_are_refused(blender: Path, sky: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"quantize": "int8"}, "Blender drops int8: export without --quantize"),
+        ({"degree": 7}, "export with --degree 6"),
+    ],
+)
+def test_what_blender_cannot_show_is_refused(
+    blender: Path, sky: Path, tmp_path: Path, options: dict[str, Any], says: str
+) -> None:
     asset = soft_asset()
-    prt.export_gltf(asset, tmp_path / "int8.glb", quantize="int8")
-    job = job_of(Situation(asset, "file"), "CYCLES", tmp_path / "int8.glb", sky, tmp_path / "out")
+    prt.export_gltf(asset, tmp_path / "spot.glb", **options)
+    job = job_of(Situation(asset, "file"), "CYCLES", tmp_path / "spot.glb", sky, tmp_path / "out")
     (tmp_path / "jobs.json").write_text(json.dumps([job]))
     done = run_blender(blender, tmp_path / "jobs.json")
     assert done.returncode == 1
-    assert "Blender drops int8: export without --quantize" in done.stderr
+    assert says in done.stderr
