@@ -1,7 +1,7 @@
 """Lights objects of `prtbake export ASSET -o X.glb` in Blender: import X.glb, then run this script.
 
 The light is that of the sun objects and of the world's environment picture (.hdr, .exr); without both, that of the
-file. Run it again when the light has changed or an object was turned. Cycles takes any view degree, EEVEE up to 3.
+file. Run it again when the light has changed or an object was turned. Cycles takes view degrees to 6, EEVEE to 3.
 """
 
 import bpy
@@ -10,45 +10,17 @@ import numpy as np
 TO_GLTF = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])  # Blender's importer turns positions, not attributes
 
 
-class Number:
-    """An output of a node; arithmetic adds nodes."""
-
-    def __init__(self, socket):
-        self.socket = socket
-
-    def __add__(self, other):
-        return add_node(self.socket.id_data, "Math", self, other, operation="ADD")[0]
-
-    def __sub__(self, other):
-        return add_node(self.socket.id_data, "Math", self, other, operation="SUBTRACT")[0]
-
-    def __mul__(self, other):
-        return add_node(self.socket.id_data, "Math", self, other, operation="MULTIPLY")[0]
-
-
-def add_node(tree, kind, *inputs, **settings):
-    """Add a node to a tree and return its outputs."""
-    node = tree.nodes.new("ShaderNode" + kind)
-    for name, value in settings.items():
-        setattr(node, name, value)
-    for socket, value in zip(node.inputs, inputs, strict=False):
-        if isinstance(value, Number):
-            tree.links.new(value.socket, socket)
-        else:
-            socket.default_value = value
-    return [Number(socket) for socket in node.outputs]
-
-
-def harmonics(x, y, z, degree):
-    """Return Y by index l(l+1)+m, orthonormal, no Condon-Shortley phase, of unit directions: arrays or nodes."""
-    found, cosine, sine, first = [None] * (degree + 1) ** 2, x * 0 + 1, x * 0, 0.5 / np.sqrt(np.pi)
+def harmonics(directions, degree):
+    """Return Y [N,R] of directions [N,3], index l(l+1)+m, orthonormal, no Condon-Shortley phase."""
+    (x, y, z), found = np.transpose(directions), np.zeros((len(directions), (degree + 1) ** 2))
+    turn, first = np.ones(len(x), complex), np.sqrt(0.25 / np.pi)
     for m in range(degree + 1):
-        before, now = x * 0, x * 0 + first * (np.sqrt(2) if m else 1)
-        for n in range(m, degree + 1):
-            found[n * (n + 1) - m], found[n * (n + 1) + m] = now * sine, now * cosine
-            a = np.sqrt((4 * (n + 1) ** 2 - 1) / ((n + 1) ** 2 - m**2))
-            before, now = now, (now * z - before * np.sqrt((n**2 - m**2) / abs(4 * n**2 - 1))) * a
-        cosine, sine, first = x * cosine - y * sine, x * sine + y * cosine, first * np.sqrt((2 * m + 3) / (2 * m + 2))
+        before, now = 0, first * (np.sqrt(2) if m else 1)
+        for l in range(m, degree + 1):
+            found[:, l * (l + 1) - m], found[:, l * (l + 1) + m] = now * turn.imag, now * turn.real
+            a, b = (4 * (l + 1) ** 2 - 1) / ((l + 1) ** 2 - m**2), (l**2 - m**2) / max(4 * l**2 - 1, 1)
+            before, now = now, np.sqrt(a) * (z * now - np.sqrt(b) * before)
+        turn, first = turn * (x + 1j * y), first * np.sqrt((2 * m + 3) / (2 * m + 2))
     return found
 
 
@@ -72,49 +44,77 @@ def lights(scene):
             yield directions @ np.array(turn), line[:, :3] * (strength * (high - low) * 2 * np.pi / width)
 
 
-def fold(thing, about, to_object):
-    """Store Σ_k A[v,r,k] b[k] as attributes of four numbers for each channel: EEVEE has at most 15 attributes."""
-    mesh, count = thing.data, (about["view_degree"] + 1) ** 2
-    turn = to_object @ np.array(thing.matrix_world.to_quaternion().to_matrix()).T
+def light_of(thing, about, to_object):
+    """Return the light [K,3] in object space."""
     if about["quantity"] == "radiance":
-        light = np.ones((1, 3))
-    elif scene_lights := list(lights(bpy.context.scene)):
-        light = sum(np.array(harmonics(*(turn @ to.T), about["light_degree"])) @ rgb for to, rgb in scene_lights)
-    else:
-        light = np.array([list(rgb) for rgb in about["light"]["coefficients"]])
-    folded, values = np.zeros((len(mesh.vertices), count + -count % 4, 3)), np.empty(3 * len(mesh.vertices), np.float32)
-    for r, k in np.ndindex(count, len(light)):
+        return np.ones((1, 3))
+    turn = np.array(thing.matrix_world.to_quaternion().to_matrix()) @ to_object.T
+    of_scene = [harmonics(to @ turn, about["light_degree"]).T @ rgb for to, rgb in lights(bpy.context.scene)]
+    return sum(of_scene) if of_scene else np.array([list(rgb) for rgb in about["light"]["coefficients"]])
+
+
+def powers(degree):
+    """Return exponents of x, y, z: these (degree + 1)² products and the harmonics span the same functions."""
+    return [(a, b, c) for c in (0, 1) for a in range(degree + 1 - c) for b in range(degree + 1 - c - a)]
+
+
+def fold(thing, about, to_object):
+    """Store the factor of each product, folded with the light, four to an attribute: EEVEE takes at most 15."""
+    mesh, degree, light = thing.data, about["view_degree"], light_of(thing, about, to_object)
+    values, folded = np.empty((len(mesh.vertices), 3), np.float32), np.zeros(((degree + 1) ** 2, len(mesh.vertices), 3))
+    for r, k in np.ndindex(len(folded), len(light)):
         name = about["attributes"].format(r=r, k=k)
         if name not in mesh.attributes:
             raise RuntimeError(f"{thing.name}: no attribute {name}; Blender drops int8: export without --quantize")
-        mesh.attributes[name].data.foreach_get("vector", values)
-        folded[:, r] += values.reshape(-1, 3) * light[k]
-    for c, j in np.ndindex(3, folded.shape[1] // 4):
+        mesh.attributes[name].data.foreach_get("vector", values.reshape(-1))
+        folded[r] += values * light[k]
+    around = np.random.default_rng(0).normal(size=(4 * len(folded), 3))
+    around /= np.linalg.norm(around, axis=1, keepdims=True)
+    products = np.stack([np.prod(around**power, axis=1) for power in powers(degree)], axis=1)
+    change = np.linalg.lstsq(products, harmonics(around, degree), rcond=None)[0]
+    factors = np.pad(np.tensordot(change, folded, 1), ((0, -len(folded) % 4), (0, 0), (0, 0)))
+    for c, j in np.ndindex(3, len(factors) // 4):
         name = f"prtbake_{c}_{j}"
         stored = mesh.attributes.get(name) or mesh.attributes.new(name, "FLOAT_COLOR", "POINT")
-        stored.data.foreach_set("color", folded[:, 4 * j : 4 * j + 4, c].astype(np.float32).ravel())
+        stored.data.foreach_set("color", factors[4 * j : 4 * j + 4, :, c].T.astype(np.float32).ravel())
     mesh.update()
 
 
+def add(tree, kind, *inputs, **settings):
+    """Add a node to a tree and return its outputs."""
+    node = tree.nodes.new("ShaderNode" + kind)
+    for name, value in settings.items():
+        setattr(node, name, value)
+    for socket, value in zip(node.inputs, inputs, strict=False):
+        if isinstance(value, bpy.types.NodeSocket):
+            tree.links.new(value, socket)
+        else:
+            socket.default_value = value
+    return node.outputs
+
+
 def shade(tree, degree, to_object):
-    """Fill a node tree with max(0, Σ_r Y_r(ωo) folded_r)."""
+    """Fill a node tree: emission of the sum of products and factors, at least 0."""
     tree.nodes.clear()
-    incoming = add_node(tree, "NewGeometry")[4]
-    spaces = {"vector_type": "VECTOR", "convert_from": "WORLD", "convert_to": "OBJECT"}
-    local = add_node(tree, "VectorTransform", incoming, **spaces)[0]
-    eye = add_node(tree, "VectorMath", local, operation="NORMALIZE")[0]
-    x, y, z = (add_node(tree, "VectorMath", eye, row, operation="DOT_PRODUCT")[1] for row in to_object)
-    values, channels = harmonics(x, y, z, degree), []
-    values += [x * 0] * (-len(values) % 4)
-    threes = [add_node(tree, "CombineXYZ", *values[i : i + 3])[0] for i in range(0, len(values), 4)]
-    for c in range(3):
-        total = x * 0
-        for j, three in enumerate(threes):
-            color, _, _, alpha = add_node(tree, "Attribute", attribute_name=f"prtbake_{c}_{j}")
-            dot = add_node(tree, "VectorMath", color, three, operation="DOT_PRODUCT")[1]
-            total = total + dot + alpha * values[4 * j + 3]
-        channels.append(add_node(tree, "Math", total, 0.0, operation="MAXIMUM")[0])
-    add_node(tree, "OutputMaterial", add_node(tree, "Emission", add_node(tree, "CombineXYZ", *channels)[0])[0])
+    incoming = add(tree, "NewGeometry")["Incoming"]
+    eye = add(tree, "VectorTransform", incoming, vector_type="VECTOR", convert_from="WORLD", convert_to="OBJECT")[0]
+    eye = add(tree, "VectorMath", eye, operation="NORMALIZE")[0]
+    axes = [add(tree, "VectorMath", eye, row, operation="DOT_PRODUCT")["Value"] for row in to_object]
+    found = {(0, 0, 0): 1.0}
+    for power in powers(degree)[1:]:
+        axis = next(axis for axis in range(3) if power[axis])
+        less = tuple(one - (axis == other) for other, one in enumerate(power))
+        found[power] = add(tree, "Math", found[less], axes[axis], operation="MULTIPLY")[0]
+    products, total = [*found.values(), 0.0, 0.0, 0.0], (0.0, 0.0, 0.0)
+    for j in range(-(-len(found) // 4)):
+        three, channels = add(tree, "CombineXYZ", *products[4 * j : 4 * j + 3])[0], []
+        for c in range(3):
+            factors = add(tree, "Attribute", attribute_name=f"prtbake_{c}_{j}")
+            dot = add(tree, "VectorMath", factors["Color"], three, operation="DOT_PRODUCT")["Value"]
+            channels.append(add(tree, "Math", factors["Alpha"], products[4 * j + 3], dot, operation="MULTIPLY_ADD")[0])
+        total = add(tree, "VectorMath", total, add(tree, "CombineXYZ", *channels)[0], operation="ADD")[0]
+    radiance = add(tree, "VectorMath", total, (0.0, 0.0, 0.0), operation="MAXIMUM")[0]
+    add(tree, "OutputMaterial", add(tree, "Emission", radiance)[0])
 
 
 def main():
@@ -125,6 +125,8 @@ def main():
     bpy.context.view_layer.update()
     for thing in things:
         about = thing.data["prtbake"]
+        if about["view_degree"] > 6:
+            raise RuntimeError(f"{thing.name}: Cycles has no room for so many numbers: export with --degree 6 or less")
         to_object = np.array(about["local_to_object"]).reshape(3, 3) @ TO_GLTF
         if thing.data.users > 1:
             thing.data = thing.data.copy()  # another object with this mesh may be turned otherwise

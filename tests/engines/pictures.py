@@ -10,8 +10,10 @@ from formats.asset import Asset
 from prt_bake.lights.environment import rotation
 from prt_bake.mathematics import sh, sphere
 from prt_bake.shading.picture import Picture
+from tests.formats.mesh.gltf_files import GltfBuilder
 from tests.shading.assets import asset_of
 
+TURN = [0.1, 0.2, 0.3, 0.86**0.5]  # quaternion of a node, as in glTF
 PIXELS = 128
 RINGS, SECTORS = 8, 32
 SUN = {"y": np.array([0.6, 0.5, 0.6245]), "z": np.array([0.6, -0.6245, 0.5])}  # in front, above
@@ -61,3 +63,21 @@ def soft_asset(up: str = "y", unit: str = "dm") -> Asset:
         c * (band * at_normal * towards + d * band * onwards + varied) for c, d in ((0.3, 0.2), (0.25, 0.3), (0.2, 0.5))
     ]
     return asset_of(mesh, np.stack(values, axis=-1).astype(np.float16), RINGS, SECTORS, 2, up=up, unit=unit)
+
+
+def write_users_file(mesh: prt.Mesh, path: Path) -> None:
+    """The object as a user may have it: two parts, split at every face, with texture coordinates, turned by a node."""
+    file = GltfBuilder()
+    *axis, w = TURN
+    x = np.cross(np.eye(3), axis)  # x @ v is the product axis × v
+    local_to_object = np.eye(3) + 2 * w * x + 2 * x @ x
+    parts = []
+    for faces in np.array_split(mesh.faces, 2):
+        positions, normals = (values[faces.ravel()] @ local_to_object for values in (mesh.positions, mesh.normals))
+        bounds = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
+        part = file.solid(positions, np.arange(len(positions)), NORMAL=file.accessor(normals))
+        file.json["accessors"][part["attributes"]["POSITION"]] |= bounds
+        part["attributes"]["TEXCOORD_0"] = file.accessor(positions[:, :2])
+        parts.append(part)
+    file.node(mesh=file.mesh(*parts), rotation=TURN)
+    file.write(path)

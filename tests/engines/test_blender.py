@@ -12,7 +12,7 @@ import prt_bake as prt
 from formats.image import read_image
 from formats.scene.units import MILLIMETRES
 from tests.engines.conftest import HERE
-from tests.engines.pictures import IRRADIANCE, SUN, Situation, relative_rms, soft_asset
+from tests.engines.pictures import IRRADIANCE, SUN, Situation, relative_rms, soft_asset, write_users_file
 from tests.export.glb_reader import read_glb
 
 TO_BLENDER = {"y": np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), "z": np.eye(3)}
@@ -59,22 +59,25 @@ def difference(job: dict[str, Any], situation: Situation, sky: Path) -> float:
     return relative_rms(read_image(job["picture"])[..., :3], situation.picture(sky))
 
 
-CASES = [  # up, light, turn of the object, turn of the sky, engine
+CASES = [  # asset, light, turn of the object, turn of the sky, engine
     ("y", "file", 0.0, 0.0, "CYCLES"),
     ("y", "sun", 40.0, 0.0, "CYCLES"),
     ("y", "sky", 40.0, 75.0, "CYCLES"),
     ("z", "file", 0.0, 0.0, "CYCLES"),
     ("z", "sun", 40.0, 0.0, "CYCLES"),
     ("z", "sky", 0.0, 75.0, "CYCLES"),
+    ("onto", "sky", 40.0, 75.0, "CYCLES"),
     ("y", "sky", 40.0, 75.0, "BLENDER_EEVEE_NEXT"),
 ]
 
 
 def test_pictures_and_attributes(blender: Path, sky: Path, tmp_path: Path) -> None:
-    assets = {"y": soft_asset("y", "dm"), "z": soft_asset("z", "cm")}
-    for up, asset in assets.items():
-        prt.export_gltf(asset, tmp_path / f"{up}.glb")
-    situations = [Situation(assets[up], light, turn, sky_turn) for up, light, turn, sky_turn, _ in CASES]
+    assets = {"y": soft_asset("y", "dm"), "z": soft_asset("z", "cm"), "onto": soft_asset("y", "m")}
+    write_users_file(assets["onto"].mesh, tmp_path / "user.glb")
+    for name, asset in assets.items():
+        onto = tmp_path / "user.glb" if name == "onto" else None
+        prt.export_gltf(asset, tmp_path / f"{name}.glb", onto=onto)
+    situations = [Situation(assets[name], light, turn, sky_turn) for name, light, turn, sky_turn, _ in CASES]
     jobs = [
         job_of(situation, case[4], tmp_path / f"{case[0]}.glb", sky, tmp_path / f"out{number}")
         for number, (case, situation) in enumerate(zip(CASES, situations, strict=True))
@@ -82,6 +85,8 @@ def test_pictures_and_attributes(blender: Path, sky: Path, tmp_path: Path) -> No
     rendered(blender, jobs, tmp_path)
     for case, job, situation in zip(CASES, jobs, situations, strict=True):
         assert difference(job, situation, sky) <= MOST, case
+        if case[0] == "onto":
+            continue  # two primitives of the file are one mesh of Blender
         imported = np.load(job["attributes"])
         stored = read_glb(Path(job["glb"])).attributes
         names = [name for name in stored if name.startswith("_PRT")]
@@ -100,11 +105,20 @@ def test_one_light_folded_in(blender: Path, sky: Path, tmp_path: Path) -> None:
     assert difference(job, situation, sky) <= MOST
 
 
-def test_numbers_of_8_bits_are_refused(blender: Path, sky: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"quantize": "int8"}, "Blender drops int8: export without --quantize"),
+        ({"degree": 7}, "export with --degree 6"),
+    ],
+)
+def test_what_blender_cannot_show_is_refused(
+    blender: Path, sky: Path, tmp_path: Path, options: dict[str, Any], says: str
+) -> None:
     asset = soft_asset()
-    prt.export_gltf(asset, tmp_path / "int8.glb", quantize="int8")
-    job = job_of(Situation(asset, "file"), "CYCLES", tmp_path / "int8.glb", sky, tmp_path / "out")
+    prt.export_gltf(asset, tmp_path / "spot.glb", **options)
+    job = job_of(Situation(asset, "file"), "CYCLES", tmp_path / "spot.glb", sky, tmp_path / "out")
     (tmp_path / "jobs.json").write_text(json.dumps([job]))
     done = run_blender(blender, tmp_path / "jobs.json")
     assert done.returncode == 1
-    assert "Blender drops int8: export without --quantize" in done.stderr
+    assert says in done.stderr

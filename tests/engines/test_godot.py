@@ -13,7 +13,7 @@ import prt_bake as prt
 from formats.scene.units import MILLIMETRES
 from tests import ROOT
 from tests.engines.conftest import HERE, RunNode
-from tests.engines.pictures import IRRADIANCE, PIXELS, SUN, Situation, relative_rms, soft_asset
+from tests.engines.pictures import IRRADIANCE, PIXELS, SUN, Situation, relative_rms, soft_asset, write_users_file
 
 MOST = 0.015
 ACROSS = 4  # pixels of Godot along a side of one of the picture: it resolves edges after the sRGB curve
@@ -104,7 +104,7 @@ def job_of(situation: Situation, glb: str, sky: Path) -> dict[str, Any]:
     }
 
 
-CASES = [  # up, light, turn of the object, turn of the sky, form
+CASES = [  # asset, light, turn of the object, turn of the sky, form
     ("y", "file", 0.0, 0.0, "float"),
     ("y", "sun", 40.0, 0.0, "float"),
     ("y", "sky", 40.0, 75.0, "float"),
@@ -112,6 +112,7 @@ CASES = [  # up, light, turn of the object, turn of the sky, form
     ("y", "file", 0.0, 0.0, "light"),
     ("y", "sun", 40.0, 0.0, "float.reordered"),
     ("y", "sun", 40.0, 0.0, "int8.reordered"),
+    ("onto", "sky", 40.0, 75.0, "float"),
     ("z", "sun", 40.0, 0.0, "int8"),
     ("z", "sky", 40.0, 75.0, "float"),
 ]
@@ -120,8 +121,11 @@ CASES = [  # up, light, turn of the object, turn of the sky, form
 @pytest.mark.usefixtures("chromium")
 def test_pictures(run_node: RunNode, tmp_path: Path) -> None:
     sky = Path(prt.example("sky.hdr"))
-    assets = {"y": soft_asset("y", "dm"), "z": soft_asset("z", "cm")}
-    for up, asset in assets.items():
+    assets = {"y": soft_asset("y", "dm"), "z": soft_asset("z", "cm"), "onto": soft_asset("y", "m")}
+    write_users_file(assets["onto"].mesh, tmp_path / "user.glb")
+    prt.export_gltf(assets["onto"], tmp_path / "onto.float.glb", onto=tmp_path / "user.glb")
+    for up in ("y", "z"):
+        asset = assets[up]
         prt.export_gltf(asset, tmp_path / f"{up}.float.glb")
         prt.export_gltf(asset, tmp_path / f"{up}.int8.glb", quantize="int8")
         light = prt.light_for(asset, prt.read_lighting(str(sky), up=up), suns="plain").whole
@@ -129,7 +133,7 @@ def test_pictures(run_node: RunNode, tmp_path: Path) -> None:
     for form in ("float", "int8"):
         order = run_node("reordered.mjs", tmp_path / f"y.{form}.glb", tmp_path / f"y.{form}.reordered.glb")
         assert order["before"] != order["after"]
-    situations = [Situation(assets[up], light, turn, sky_turn) for up, light, turn, sky_turn, _ in CASES]
+    situations = [Situation(assets[name], light, turn, sky_turn) for name, light, turn, sky_turn, _ in CASES]
     jobs = [
         job_of(situation, f"{case[0]}.{case[4]}.glb", sky) for case, situation in zip(CASES, situations, strict=True)
     ]
