@@ -40,9 +40,9 @@ static inline void *prt_read(prt_asset *a, hid_t file, const char *name, hid_t t
     hid_t set = H5Dopen2(file, name, H5P_DEFAULT), space = H5Dget_space(set);
     hsize_t count = set < 0 ? 0 : (hsize_t)H5Sget_simple_extent_npoints(space);
     if (!*rows) *rows = count / columns;
-    void *values = malloc(count * H5Tget_size(type) + 1);
+    void *values = count >> 40 ? NULL : malloc(count * H5Tget_size(type) + 1);
     if (!values || count != *rows * columns || H5Dread(set, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, values) < 0)
-        snprintf(a->error, sizeof a->error, "/%s is missing, damaged or of another size than the rest", name);
+        snprintf(a->error, sizeof a->error, "/%s is missing, damaged or of another size; bake it again", name);
     H5Sclose(space), H5Dclose(set);
     return values;
 }
@@ -50,7 +50,7 @@ static inline void *prt_read(prt_asset *a, hid_t file, const char *name, hid_t t
 static inline const char *prt_load(prt_asset *a, hid_t file) {
     if (file < 0) return "is missing, truncated or not HDF5";
     if (!prt_begins(file, "/", "format", "prtbake")) return "is not an asset of prtbake";
-    if (!prt_begins(file, "/", "format_version", "1.")) return "has another format_version than 1.x";
+    if (!prt_begins(file, "/", "format_version", "1.")) return "has another format_version than 1.x; copy the newer prtbake.h";
     if (H5Lexists(file, "transfer_compact", H5P_DEFAULT) > 0) return "is compact: unpack it with prt.unpacked first";
     int known = prt_attribute(file, "bins", "rings", H5T_NATIVE_INT, 1, &a->rings) &&
                 prt_attribute(file, "bins", "sectors", H5T_NATIVE_INT, 1, &a->sectors) &&

@@ -192,7 +192,7 @@ BAD = {
         edited(lambda file: file["transfer"].pop("coefficients")),
         "has no /transfer/coefficients [V, B or 1",
     ),
-    "damaged": (damaged, "/transfer/coefficients is missing, damaged or of another size than the rest"),
+    "damaged": (damaged, "/transfer/coefficients is missing, damaged or of another size"),
     "fewer normals": (
         replaced("mesh/normals", np.zeros((3, 3))),
         "/mesh/normals is missing, damaged or of another size",
