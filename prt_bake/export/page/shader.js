@@ -165,10 +165,8 @@ export class Model {
   async selftest() {
     const { light, vertex, outgoing, radiance } = this.record.selftest, differences = [];
     if (vertex.length) this.setLight(light);
-    for (const [s, v] of vertex.entries()) {
-      const found = await this.read(...outgoing.slice(3 * s, 3 * s + 3), 0);
-      RGB.forEach((c) => differences.push(Math.abs(found[3 * v + c] - radiance[3 * s + c])));
-    }
+    const found = await Promise.all(Array.from(vertex, (_, s) => this.read(...outgoing.slice(3 * s, 3 * s + 3), 0)));
+    radiance.forEach((value, i) => differences.push(Math.abs(found[Math.floor(i / 3)][3 * vertex[Math.floor(i / 3)] + (i % 3)] - value)));
     return differences.length ? Math.max(...differences) / Math.max(...radiance.map(Math.abs)) : NaN;
   }
 }
