@@ -41,9 +41,10 @@ export class Model {
 
   /** Texels of four numbers, half floats or floats, in rows of `side`. */
   texture(numbers) {
-    const height = Math.ceil(numbers.length / 4 / this.side), padded = new numbers.constructor(4 * this.side * height);
+    const height = Math.ceil(numbers.length / 4 / this.side), fits = numbers.length === 4 * this.side * height;
     if (height > this.side) throw new Failure("is too large for this device; compress it, or bake fewer view bins.");
-    padded.set(numbers);
+    const padded = fits ? numbers : new numbers.constructor(4 * this.side * height);
+    if (!fits) padded.set(numbers);
     const type = numbers instanceof Uint16Array ? THREE.HalfFloatType : THREE.FloatType;
     return Object.assign(this.keep(new THREE.DataTexture(padded, this.side, height, THREE.RGBAFormat, type)), { needsUpdate: true });
   }
