@@ -3,6 +3,7 @@ import { DataUtils } from "three";
 import { Failure } from "./sky.js";
 
 const BLOCK = 1 << 22, { fromHalfFloat, toHalfFloat } = DataUtils; // numbers that HDF5 decodes at a time
+const rows = (Kind, length) => new Kind(32768 * Math.ceil(length / 32768)); // whole rows of a texture: large data is not copied
 
 /** Read an asset: its mesh, self-test and figures, and the data of the shader. */
 export async function readAsset(bytes) {
@@ -62,7 +63,7 @@ function readRecord(reader) {
 /** For each vertex and bin the K·C coefficients in texels of four, and last the mean of the first ring. */
 function plainData({ shape, read, half }, sectors) {
   const path = "/transfer/coefficients", [V, B, K, C] = shape(path), n = K * C, texels = Math.ceil(n / 4), isHalf = half(path);
-  const row = (B > 1 ? B + 1 : 1) * texels * 4, data = new (isHalf ? Uint16Array : Float32Array)(V * row), mean = new Float64Array(n);
+  const row = (B > 1 ? B + 1 : 1) * texels * 4, data = rows(isHalf ? Uint16Array : Float32Array, V * row), mean = new Float64Array(n);
   const widened = Float32Array.from({ length: 65536 }, (_, code) => fromHalfFloat(code)), step = Math.ceil(BLOCK / B / n);
   for (let first = 0; first < V; first += step) {
     const count = Math.min(step, V - first), block = read(path, first, count);
@@ -89,7 +90,7 @@ function compactData({ shape: shapeOf, read, attribute }, sectors) {
   for (let r = 0; r < R; r++) first[r + 1] = first[r] + Math.ceil(first[r + 1] / 4);
   const next = first.map((texel) => 4 * texel), row = 4 * first[R], channels = new Int32Array(row).fill(-1), digits = digitsOf("digits");
   view.forEach((r, p) => (channels[(slot[p] = next[r]++)] = channel[p]));
-  const wide = digits.length > 2, data = new (wide ? Float32Array : Uint16Array)(V * row), step = Math.ceil(BLOCK / V);
+  const wide = digits.length > 2, data = rows(wide ? Float32Array : Uint16Array, V * row), step = Math.ceil(BLOCK / V);
   for (let p = 0; p < P; p += step) {
     const count = Math.min(step, P - p), parts = digits.map((name) => read(path(name), p, count));
     for (let at = 0; at < count * V; at++) {

@@ -41,9 +41,10 @@ export class Model {
 
   /** Texels of four numbers, half floats or floats, in rows of `side`. */
   texture(numbers) {
-    const height = Math.ceil(numbers.length / 4 / this.side), padded = new numbers.constructor(4 * this.side * height);
+    const height = Math.ceil(numbers.length / 4 / this.side), fits = numbers.length === 4 * this.side * height;
     if (height > this.side) throw new Failure("is too large for this device; compress it, or bake fewer view bins.");
-    padded.set(numbers);
+    const padded = fits ? numbers : new numbers.constructor(4 * this.side * height);
+    if (!fits) padded.set(numbers);
     const type = numbers instanceof Uint16Array ? THREE.HalfFloatType : THREE.FloatType;
     return Object.assign(this.keep(new THREE.DataTexture(padded, this.side, height, THREE.RGBAFormat, type)), { needsUpdate: true });
   }
@@ -165,10 +166,8 @@ export class Model {
   async selftest() {
     const { light, vertex, outgoing, radiance } = this.record.selftest, differences = [];
     if (vertex.length) this.setLight(light);
-    for (const [s, v] of vertex.entries()) {
-      const found = await this.read(...outgoing.slice(3 * s, 3 * s + 3), 0);
-      RGB.forEach((c) => differences.push(Math.abs(found[3 * v + c] - radiance[3 * s + c])));
-    }
+    const found = await Promise.all(Array.from(vertex, (_, s) => this.read(...outgoing.slice(3 * s, 3 * s + 3), 0)));
+    radiance.forEach((value, i) => differences.push(Math.abs(found[Math.floor(i / 3)][3 * vertex[Math.floor(i / 3)] + (i % 3)] - value)));
     return differences.length ? Math.max(...differences) / Math.max(...radiance.map(Math.abs)) : NaN;
   }
 }

@@ -38,7 +38,8 @@ async function get(file) {
 
 /** A light that reads its picture when it is first shown, and keeps its coefficients of each degree. */
 function skyOf(name, load) {
-  const known = [], read = async (degree) => project(degree, await openSky(new Uint8Array(await load())));
+  const known = [], parse = async (bytes, degree) => project(degree, await openSky(new Uint8Array(bytes)));
+  const read = async (degree) => load().then((bytes) => named(name, () => parse(bytes, degree)));
   return { name, polar: (degree) => (known[degree] ??= read(degree)) };
 }
 
@@ -52,23 +53,30 @@ async function showObject(which) {
 /** Show an asset, or light the object by a sky. */
 async function open(bytes, name) {
   const kind = String.fromCharCode(...bytes.subarray(0, 4));
-  try {
+  if (kind.startsWith("#?") || kind === "v/1\x01") await addLight(skyOf(name, async () => bytes));
+  else await named(name, async () => {
     if (kind === "\x89HDF") await show(await readAsset(bytes), name, bytes.length);
     else if (kind === "glTF") await show(await (await import("./glb.js")).readGlb(bytes), name, bytes.length);
-    else if (kind.startsWith("#?") || kind === "v/1\x01") await lightBy(skyOf(name, async () => bytes));
     else throw new Failure("is neither an asset (.h5, .glb) nor a sky (.hdr, .exr).");
-    say("");
+  });
+  say("");
+  if (model) await attempt(relight);
+}
+
+/** Run what may fail because of a file, and name the file in what is then said. */
+async function named(name, work) {
+  try {
+    return await work();
   } catch (error) {
     if (!(error instanceof Failure)) console.warn(error);
     throw new Failure(`${name} ${error instanceof Failure ? error.message : `cannot be shown: ${error.message}`}`);
   }
 }
 
-async function lightBy(sky) {
+async function addLight(sky) {
   await sky.polar(2); // a picture that cannot be read does not become a light
   lights.unshift(sky);
   listLights();
-  await relight();
 }
 
 async function show(record, name, size) {
@@ -88,7 +96,6 @@ async function show(record, name, size) {
   for (const id of ["light-row", "turn-row", "drag"]) $(id).hidden = fixed;
   $("about").hidden = false;
   frameObject();
-  await relight();
 }
 
 function frameObject() {
