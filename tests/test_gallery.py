@@ -35,8 +35,8 @@ def test_assets_of_the_live_page_are_small_and_sound() -> None:
     scenes = tomllib.loads((GALLERY / "gallery.toml").read_text(encoding="utf-8"))["scene"]
     assert {path.stem for path in live} <= {each["name"] for each in scenes}
     assert "spot.h5" in [path.name for path in live]
-    assert max(path.stat().st_size for path in live) <= 1 << 20
-    assert sum(path.stat().st_size for path in live) <= 5 << 20
+    assert max(path.stat().st_size for path in live) <= 1_000_000
+    assert sum(path.stat().st_size for path in live) <= 5_000_000
     assert [fault for path in live for fault in find_faults(path)] == []
     assert not [path for path in live if re.search(r'["\s][/\\]\w|\w:\\', str(prt.read_asset(path).provenance))]
 
