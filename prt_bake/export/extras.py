@@ -75,6 +75,8 @@ def extras(asset: Asset, form: EngineForm, error: FormError, light: StatedLight)
         "unit": asset.unit,
         "texels": {"width": width, "height": height},
         "quantize": None,
+        "eta": asset.eta,
+        "roughness": asset.roughness,
         "check_directions": np.asarray(asset.check_directions, np.float64).tolist(),
         "check_values": sh.evaluate(asset.check_directions, highest).tolist(),
         "light": {

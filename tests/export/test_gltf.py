@@ -99,6 +99,12 @@ def test_our_reader_finds_the_mesh_where_it_was(tmp_path: Path) -> None:
         np.testing.assert_array_equal(mesh.faces, asset.mesh.faces)
 
 
+def test_the_surface_is_stated_for_reflections(tmp_path: Path) -> None:
+    asset = dataclasses.replace(smooth_asset(), provenance={"eta": 1.5, "roughness": 0.2})
+    assert [export(tmp_path, asset).extras[key] for key in ("eta", "roughness")] == [1.5, 0.2]
+    assert [export(tmp_path).extras[key] for key in ("eta", "roughness")] == [1.0, None]
+
+
 def test_texels_number_the_vertices(tmp_path: Path) -> None:
     read = export(tmp_path)
     width, height = read.extras["texels"]["width"], read.extras["texels"]["height"]
