@@ -118,7 +118,9 @@ async function relight() {
   const light = lights[number("light")], { record } = model, fixed = record.quantity === "radiance";
   $("height-row").hidden = fixed || light.name !== "sun";
   const found = fixed ? [1, 1, 1] : await light.polar(Math.sqrt(record.K) - 1);
-  if (light === lights[number("light")] && record === model.record) [polar, lightChanged] = [found, true];
+  if (light !== lights[number("light")] || record !== model.record) return;
+  [polar, lightChanged] = [found, true];
+  say("");
 }
 
 function frame() {
