@@ -166,7 +166,8 @@ def main() -> None:
         strip = folder / f"{entry['name']}.webp"
         subject = Subject(entry, files, quality)
         made.append(subject.compare(settings["lights"], strip))
-        subject.write_live(entry.get("live", settings["live"]["error"]), folder / "live" / f"{entry['name']}.h5")
+        if error := entry.get("live", settings["live"]["error"]):
+            subject.write_live(error, folder / "live" / f"{entry['name']}.h5")
         write_report({"scenes": made}, folder / "figures.json")
         say(f"{strip}: written")
     head = (ROOT / "docs" / "gallery" / "head.txt").read_text(encoding="utf-8")
