@@ -25,7 +25,6 @@ _EYES = np.concatenate([np.eye(3), -np.eye(3)])
 _EYE_DISTANCE = 4.0
 """Of the six eyes from the centre of the object, in its bounding radius."""
 _SUNS = np.array([[0.6, 0.64, 0.48], [-0.48, 0.6, -0.64], [0.64, -0.48, 0.6]])
-_TINY = 1e-30
 
 
 @dataclass(frozen=True)
@@ -56,8 +55,8 @@ def form_error(asset: Asset, form: EngineForm, sky: Array, light: ArrayLike | No
     for part, block in blocks(asset, weights):
         valid = asset.valid[part]
         local = np.matmul(frame_rotations(asset, part, form.view_degree), _rows(form.coefficients[part]))
-        squares[part] = valid * ((np.matmul(basis, local) - _rows(block)) ** 2).sum(axis=(1, 2))
-        norms[part] = valid * (_rows(block).astype(np.float64) ** 2).sum(axis=(1, 2))
+        squares[part] = ((np.matmul(basis, local) - _rows(block)) ** 2).sum(axis=(1, 2))
+        norms[part] = (_rows(block).astype(np.float64) ** 2).sum(axis=(1, 2))
         for e, towards in enumerate(outgoing):
             facing = np.flatnonzero(valid & ((towards[part] * asset.mesh.normals[part]).sum(axis=1) > 0.0))
             for i, each in enumerate(lights):
@@ -69,7 +68,7 @@ def form_error(asset: Asset, form: EngineForm, sky: Array, light: ArrayLike | No
     lit = norms > 0.0
     each = np.sqrt(squares[lit] / norms[lit])
     return FormError(
-        float(np.sqrt(squares.sum() / max(norms.sum(), _TINY))),
+        float(np.sqrt(squares.sum() / norms.sum())) if len(each) else 0.0,
         float(np.percentile(each, 95)) if len(each) else 0.0,
         float(np.median(ratios)) if len(ratios) else 0.0,
         float(ratios.max()) if len(ratios) else 0.0,
@@ -82,13 +81,13 @@ def errors_by_degree(asset: Asset, light: ArrayLike | None = None) -> Array:
     degrees = 1 if asset.coefficients.shape[1] == 1 else HIGHEST_DEGREE + 1
     fits = [(view_basis(asset, n).astype(np.float32), view_fit(asset, n).astype(np.float32)) for n in range(degrees)]
     squares, norm = np.zeros(degrees), 0.0
-    for part, block in blocks(asset, weights):
-        values = _rows(block[asset.valid[part]])
+    for _, block in blocks(asset, weights):
+        values = _rows(block)
         norm += float((values.astype(np.float64) ** 2).sum())
         for degree, (basis, fit) in enumerate(fits):
             difference = np.matmul(basis, np.matmul(fit, values)) - values
             squares[degree] += (difference.astype(np.float64) ** 2).sum()
-    return np.asarray(np.sqrt(squares / max(norm, _TINY)))
+    return np.asarray(np.sqrt(squares / (norm or 1.0)))
 
 
 def degree_for(asset: Asset, error: float, light: ArrayLike | None = None) -> int:

@@ -31,6 +31,8 @@ away, are not wrong. The ridge keeps the normal equations well conditioned on a 
 _RINGS, _SECTORS = 16, 64
 """Fewest directions that a form is fitted to: between coarse view bins it follows their interpolation."""
 _BYTES_AT_ONCE = 64 << 20
+_ROTATION = 8 * sh.count(HIGHEST_DEGREE) ** 2
+"""Bytes of the rotation of a vertex of the highest degree, which often is larger than its coefficients."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +92,6 @@ def engine_form(asset: Asset, degree: int = DEFAULT_DEGREE, light: ArrayLike | N
         local = np.matmul(fit, block.reshape(*block.shape[:2], -1))
         turned = np.matmul(frame_rotations(asset, part, degree).transpose(0, 2, 1), local)
         coefficients[part] = turned.reshape(*turned.shape[:2], *block.shape[2:])
-    coefficients[~asset.valid] = 0.0
     return EngineForm(coefficients, degree, 0 if folded else asset.degree, "radiance" if folded else "transfer")
 
 
@@ -124,15 +125,21 @@ def frame_rotations(asset: Asset, part: slice, degree: int) -> Array:
 def blocks(asset: Asset, light: Array | None = None) -> Iterator[tuple[slice, NDArray[Any]]]:
     """Yield runs of vertices and their coefficients, float32 [n,B,K,3], a few chunks of the file at a time.
 
-    With a light [K,3] they are the radiance of the bins, float32 [n,B,1,3].
+    Vertices that were not baked have 0. With a light [K,3] they are the radiance of the bins, float32 [n,B,1,3].
+
+    Raises QueryError for coefficients that are not finite.
     """
     stored = asset.coefficients
     chunk = stored.chunks[0] if getattr(stored, "chunks", None) else 1
-    row = 12 * math.prod(stored.shape[1:3])
+    row = max(12 * math.prod(stored.shape[1:3]), _ROTATION)
     step = chunk * max(1, _BYTES_AT_ONCE // (row * chunk))
     for first in range(0, len(asset.valid), step):
         part = slice(first, min(first + step, len(asset.valid)))
-        block = np.asarray(stored[part], np.float32)
+        block = np.array(stored[part], np.float32)
+        block[~asset.valid[part]] = 0.0
+        if not np.isfinite(block).all():
+            vertex = first + int(np.flatnonzero(~np.isfinite(block).all(axis=(1, 2, 3)))[0])
+            raise QueryError(f"asset: coefficients of vertex {vertex} are not finite; bake it again")
         if light is not None:
             block = np.einsum("nbkc,kc->nbc", block, light)[:, :, None].astype(np.float32)
         yield part, np.broadcast_to(block, (*block.shape[:3], 3))

@@ -71,6 +71,7 @@ def export_site(
     """
     target = Path(folder)
     _refuse_other_folder(target, force)
+    target = target.resolve()  # a link stays, and its folder is written
     files = site_files(assets, lights, mend=mend, say=say)
     for asset in map(Path, _several(assets)):
         if asset.suffix.lower() != ".glb" and asset.stat().st_size > _LARGE:
@@ -78,13 +79,13 @@ def export_site(
                 f"{asset}: every visitor of the page loads its {asset.stat().st_size / 1e6:.0f} MB; a smaller one: "
                 f"prtbake compress {asset} -o {asset.with_suffix('.compact.h5')}"
             )
-    create_folder(target.absolute().parent)
+    create_folder(target.parent)
     try:
         _write(target, files)
     except OSError as cause:
         if isinstance(cause, StorageError):
             raise
-        raise storage_error(target, cause) from cause
+        raise storage_error(folder, cause) from cause
     return sum(path.stat().st_size for path in target.rglob("*") if path.is_file())
 
 
@@ -210,6 +211,10 @@ def _refuse_other_folder(folder: Path, force: bool) -> None:
         return
     if not folder.is_dir():
         raise StorageError(f"{folder}: expected a folder, found a file; choose another name")
+    if folder.samefile(Path.cwd()) or folder.is_mount():
+        raise StorageError(
+            f"{folder}: is the current folder, or where a disk is mounted, and cannot be replaced; name a folder in it"
+        )
     found = {path.name for path in folder.iterdir()}
     if not found:
         return
@@ -225,7 +230,7 @@ def _refuse_other_folder(folder: Path, force: bool) -> None:
 
 def _write(target: Path, files: dict[str, Content]) -> None:
     """Write the files into a folder beside the target, then rename it."""
-    with tempfile.TemporaryDirectory(prefix=f".{target.name}.", suffix=".part", dir=target.absolute().parent) as part:
+    with tempfile.TemporaryDirectory(prefix=f".{target.name}.", suffix=".part", dir=target.parent) as part:
         new, old = Path(part) / "new", Path(part) / "old"
         for name, content in files.items():
             path = new / name
@@ -234,11 +239,11 @@ def _write(target: Path, files: dict[str, Content]) -> None:
                 path.write_bytes(content)
             else:
                 shutil.copyfile(content, path)
-        if target.exists():
-            target.rename(old)
         try:
+            if target.exists():
+                target.rename(old)
             new.rename(target)
-        except OSError:
+        except BaseException:  # Ctrl-C, too: the temporary folder takes the old one with it
             if old.exists():
                 old.rename(target)
             raise

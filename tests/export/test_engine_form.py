@@ -144,6 +144,37 @@ def test_channels_that_are_equal_and_vertices_that_were_not_baked() -> None:
         engine_form(dataclasses.replace(grey, valid=np.zeros_like(valid)))
 
 
+def test_numbers_of_vertices_that_were_not_baked_do_not_matter_others_must_be_finite() -> None:
+    asset = smooth_asset()
+    valid = np.arange(len(asset.valid)) != 7
+    coefficients = np.asarray(asset.coefficients).copy()
+    coefficients[7] = np.nan
+    partial = dataclasses.replace(asset, coefficients=coefficients, valid=valid)
+    form = engine_form(partial, 2)
+    assert not form.coefficients[7].any()
+    assert 0.0 < form_error(partial, form, SKY).coefficients < 0.3
+    coefficients[9, 3] = np.inf
+    with pytest.raises(QueryError, match="coefficients of vertex 9 are not finite"):
+        engine_form(partial, 2)
+
+
+def test_the_error_is_relative_for_dim_assets_too() -> None:
+    asset = smooth_asset()
+    dim = dataclasses.replace(asset, coefficients=np.asarray(asset.coefficients) * np.float32(1e-18))
+    expected = form_error(asset, engine_form(asset, 2), SKY).coefficients
+    assert form_error(dim, engine_form(dim, 2), SKY).coefficients == pytest.approx(expected, rel=1e-3)
+    assert errors_by_degree(dim)[2] == pytest.approx(expected, rel=1e-3)
+
+
+def test_few_view_bins_do_not_make_large_blocks() -> None:
+    mesh = prt.Mesh(np.eye(3).repeat(1000, axis=0), np.array([[0, 1000, 2000]]), np.eye(3).repeat(1000, axis=0))
+    asset = smooth_asset(mesh)
+    still = dataclasses.replace(asset, coefficients=np.asarray(asset.coefficients)[:, :1])
+    sizes = [part.stop - part.start for part, _ in forms.blocks(still)]
+    assert sum(sizes) == 3000
+    assert max(sizes) * 8 * 81**2 <= 64 << 20
+
+
 def test_eight_bits_add_less_than_the_fit() -> None:
     asset = smooth_asset()
     form = engine_form(asset, 3)

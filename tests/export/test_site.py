@@ -190,6 +190,43 @@ def test_a_full_disk_leaves_the_earlier_folder(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["page", "site"]
 
 
+def test_ctrl_c_leaves_the_earlier_folder(
+    page: Path, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = tmp_path / "site"
+    export_site(folder / "asset.h5", target)
+    rename = Path.rename
+
+    def stopped(path: Path, to: Path) -> Path:
+        if path.name == "new":
+            raise KeyboardInterrupt
+        return rename(path, to)
+
+    monkeypatch.setattr(Path, "rename", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        export_site(folder / "asset.h5", target, force=True)
+    assert {path.name for path in target.iterdir()} == OWN | {"asset.h5", "sky.hdr"}
+
+
+def test_a_link_to_a_folder_stays_one(page: Path, folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "served").mkdir()
+    link = tmp_path / "link"
+    link.symlink_to("served", target_is_directory=True)
+    for force in (False, True):
+        export_site(folder / "asset.h5", link, force=force)
+        assert link.is_symlink()
+        assert {path.name for path in (tmp_path / "served").iterdir()} == OWN | {"asset.h5", "sky.hdr"}
+
+
+def test_the_current_folder_is_not_replaced(
+    page: Path, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    with pytest.raises(StorageError, match=r"is the current folder, .* name a folder in it"):
+        export_site(folder / "asset.h5", ".")
+
+
 def test_a_large_asset_is_told_how_to_become_small(
     page: Path, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
