@@ -3,6 +3,7 @@
 A page says `<!-- live page -->` where the link to it stands. Without the live page that stays an invisible comment.
 """
 
+import json
 import shutil
 import sys
 import tempfile
@@ -17,6 +18,8 @@ from prt_bake.export.site import export_site
 DOCS = Path(__file__).resolve().parent
 MARK = "<!-- live page -->"
 LINK = '<p><a class="reference internal" href="live/index.html">Turn the objects and their light in the browser</a></p>'
+BACK = [-0.43, 0.24, -0.87]
+"""From where the page first looks at objects that face to the back, y up."""
 WITHOUT = "docs: the site is built without the live page of the gallery"
 
 
@@ -53,7 +56,17 @@ def write_live(folder: Path) -> bool:
         except StorageError as fault:
             sys.stderr.write(f"{WITHOUT}: {fault}\n")
             return False
+    _show_faces(folder / "site.json", {scene["title"] for scene in gallery["scene"] if scene.get("back")})
     return True
+
+
+def _show_faces(site: Path, turned: set[str]) -> None:
+    """Let the page begin in front of the objects that look to the back, by the key `from` of the page."""
+    described = json.loads(site.read_text(encoding="utf-8"))
+    for entry in described["objects"]:
+        if entry["name"] in turned:
+            entry["from"] = BACK
+    site.write_text(json.dumps(described, indent=1) + "\n", encoding="utf-8")
 
 
 def marked() -> list[str]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import prt_bake as prt
-from docs.live_page import marked, write_live
+from docs.live_page import BACK, marked, write_live
 from docs.make_gallery import section
 from prt_bake.inspection.files import find_faults
 from tests import ROOT
@@ -46,7 +46,7 @@ def test_the_live_page_shows_them_under_its_lights(
     page = small_page(tmp_path, monkeypatch)
     assert write_live(tmp_path / "live")
     described = json.loads((tmp_path / "live" / "site.json").read_text(encoding="utf-8"))
-    assert described["objects"][0] == {"name": "Spot in marble", "file": "Spot_in_marble.h5"}
+    assert described["objects"][0] == {"name": "Spot in marble", "file": "Spot_in_marble.h5", "from": BACK}
     assert len(described["objects"]) == len(list((GALLERY / "live").iterdir()))
     assert len(described["lights"]) == 3
     (page / "vendor" / "VERSIONS").unlink()

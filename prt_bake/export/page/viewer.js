@@ -102,7 +102,7 @@ function frameObject() {
   const { geometry } = model.mesh, up = model.record.up === "z" ? [0, 0, 1] : [0, 1, 0];
   geometry.computeBoundingSphere();
   const { center, radius } = geometry.boundingSphere, tangent = Math.tan((camera.fov * Math.PI) / 360) * Math.min(1, camera.aspect);
-  const from = new THREE.Vector3(...(up[2] ? [0.43, -0.87, 0.24] : [0.43, 0.24, 0.87])), away = (1.15 * radius) / Math.sin(Math.atan(tangent));
+  const [x, y, z] = objects[shown]?.from ?? [0.43, 0.24, 0.87], from = new THREE.Vector3(...(up[2] ? [x, -z, y] : [x, y, z])), away = (1.15 * radius) / Math.sin(Math.atan(tangent));
   camera.up.set(...up);
   camera.position.copy(center).addScaledVector(from, away);
   Object.assign(camera, { near: radius / 100, far: 100 * radius });
