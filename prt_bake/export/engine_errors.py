@@ -96,7 +96,7 @@ def degree_for(asset: Asset, error: float, light: ArrayLike | None = None) -> in
     if not (errors <= error).any():
         raise QueryError(
             f"error: harmonics of the view of degree {len(errors) - 1} leave {errors[-1]:.3g}, expected {error:g} or "
-            f"less; ask for more, or use the asset itself, which has view bins"
+            f"less; give a larger error, or use the asset itself, which has view bins"
         )
     return int(np.argmax(errors <= error))
 
