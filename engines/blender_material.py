@@ -48,7 +48,8 @@ def light_of(thing, about, to_object):
     """Return the light [K,3] in object space."""
     if about["quantity"] == "radiance":
         return np.ones((1, 3))
-    turn = np.array(thing.matrix_world.to_quaternion().to_matrix()) @ to_object.T
+    turn = np.linalg.inv(np.array(thing.matrix_world.to_3x3())).T @ to_object.T
+    turn /= np.cbrt(np.linalg.det(turn))
     of_scene = [harmonics(to @ turn, about["light_degree"]).T @ rgb for to, rgb in lights(bpy.context.scene)]
     return sum(of_scene) if of_scene else np.array([list(rgb) for rgb in about["light"]["coefficients"]])
 
@@ -98,8 +99,9 @@ def shade(tree, degree, to_object):
     tree.nodes.clear()
     incoming = add(tree, "NewGeometry")["Incoming"]
     eye = add(tree, "VectorTransform", incoming, vector_type="VECTOR", convert_from="WORLD", convert_to="OBJECT")[0]
-    eye = add(tree, "VectorMath", eye, operation="NORMALIZE")[0]
-    axes = [add(tree, "VectorMath", eye, row, operation="DOT_PRODUCT")["Value"] for row in to_object]
+    along = [add(tree, "VectorMath", eye, row, operation="DOT_PRODUCT")["Value"] for row in to_object]
+    eye = add(tree, "VectorMath", add(tree, "CombineXYZ", *along)[0], operation="NORMALIZE")[0]  # a node may be scaled
+    axes = list(add(tree, "SeparateXYZ", eye))
     found = {(0, 0, 0): 1.0}
     for power in powers(degree)[1:]:
         axis = next(axis for axis in range(3) if power[axis])

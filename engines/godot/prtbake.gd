@@ -25,7 +25,7 @@ func _process(_delta: float) -> void:
 func _light(instance: MeshInstance3D, about: Dictionary) -> void:
 	var m: Array = about["local_to_object"]
 	var local := Basis(Vector3(m[0], m[3], m[6]), Vector3(m[1], m[4], m[7]), Vector3(m[2], m[5], m[8]))
-	var turn := local * instance.global_basis.orthonormalized().inverse()
+	var turn := (local * instance.global_basis.inverse()).orthonormalized()
 	var b: PackedVector3Array = []
 	for row: Array in about["light"]["coefficients"]:
 		b.append(Vector3(row[0], row[1], row[2]))

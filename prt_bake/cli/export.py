@@ -131,7 +131,7 @@ def _target(source: list[Path], output: Path, to: Target | None) -> Target:
     kinds = [kind_of(each) for each in source]
     if to is None and output.suffix.lower() not in ("", *_SUFFIXES) and not output.is_dir():
         raise QueryError(f"{output}: expected a name that ends in .glb or .exr, or a folder (--to site if this is one)")
-    target: Target = to or ("mitsuba" if kinds[0] == "scene" else _SUFFIXES.get(output.suffix.lower(), "site"))
+    target = to or _SUFFIXES.get(output.suffix.lower()) or ("mitsuba" if kinds[0] == "scene" else "site")
     for each, kind in zip(source, kinds, strict=True):
         if kind not in _FITTING[target]:
             fitting = " or ".join(name for name, possible in _FITTING.items() if kind in possible)
@@ -178,6 +178,8 @@ def _stated(asset: "Asset", lights: list[str], mend: bool) -> "StatedLight | Non
 
 
 def _print_error(source: Path, output: Path, exported: Any) -> None:
+    from prt_bake.export.engine_form import HIGHEST_DEGREE
+
     error, degree = exported.error, exported.form.view_degree
     print(f"{output}: {output.stat().st_size:,} bytes, harmonics of the view of degree {degree}")
     print(
@@ -187,5 +189,5 @@ def _print_error(source: Path, output: Path, exported: Any) -> None:
     )
     print(f"error of {source.name} itself: {exported.extras['asset_error']}")
     print(f"not in the file: {', '.join(exported.extras['left_out'])}")
-    if error.coefficients > _HIGH_ERROR:
-        say(f"{output}: --error {_HIGH_ERROR:g} chooses the degree for an error of {_HIGH_ERROR:.0%}")
+    if error.coefficients > _HIGH_ERROR and degree < HIGHEST_DEGREE:
+        say(f"{output}: a higher --degree, up to {HIGHEST_DEGREE}, lowers the error of the coefficients")

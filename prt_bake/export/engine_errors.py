@@ -53,12 +53,11 @@ def form_error(asset: Asset, form: EngineForm, sky: Array, light: ArrayLike | No
     of_radiance, radiance = np.zeros((2, len(_EYES), len(lights)))
     basis = view_basis(asset, form.view_degree)
     for part, block in blocks(asset, weights):
-        valid = asset.valid[part]
         local = np.matmul(frame_rotations(asset, part, form.view_degree), _rows(form.coefficients[part]))
         squares[part] = ((np.matmul(basis, local) - _rows(block)) ** 2).sum(axis=(1, 2))
         norms[part] = (_rows(block).astype(np.float64) ** 2).sum(axis=(1, 2))
         for e, towards in enumerate(outgoing):
-            facing = np.flatnonzero(valid & ((towards[part] * asset.mesh.normals[part]).sum(axis=1) > 0.0))
+            facing = np.flatnonzero((towards[part] * asset.mesh.normals[part]).sum(axis=1) > 0.0)
             for i, each in enumerate(lights):
                 true = np.maximum(_of_block(asset, block, part, facing, towards[part][facing], each), 0.0)
                 found = np.maximum(form.radiance(facing + part.start, towards[part][facing], each), 0.0)
@@ -96,7 +95,7 @@ def degree_for(asset: Asset, error: float, light: ArrayLike | None = None) -> in
     if not (errors <= error).any():
         raise QueryError(
             f"error: harmonics of the view of degree {len(errors) - 1} leave {errors[-1]:.3g}, expected {error:g} or "
-            f"less; ask for more, or use the asset itself, which has view bins"
+            f"less; give a larger error, or use the asset itself, which has view bins"
         )
     return int(np.argmax(errors <= error))
 

@@ -12,12 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.atomic import replacing
+from formats.errors import StorageError
 
 _MAGIC, _VERSION, _JSON, _BINARY = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
 _VERTICES, _INDICES = 34962, 34963
 _COMPONENTS = {"int8": 5120, "uint8": 5121, "uint16": 5123, "uint32": 5125, "float32": 5126}
 _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 _ALIGNMENT = 4
+_LARGEST = 2**32 - 1
+"""Bytes of a file: its length is stored in 32 bits."""
 
 
 class Buffer:
@@ -75,7 +78,8 @@ class Buffer:
 def write_glb(path: str | os.PathLike[str], document: dict[str, Any], buffer: Buffer) -> None:
     """Write a file atomically; its accessors, bufferViews and buffers are those of `buffer`.
 
-    Raises StorageError if it cannot be written, and ValueError for numbers that are not finite.
+    Raises StorageError if it cannot be written or is larger than the format allows, and ValueError for numbers that are
+    not finite.
     """
     binary = buffer.content()
     document = document | {
@@ -86,8 +90,14 @@ def write_glb(path: str | os.PathLike[str], document: dict[str, Any], buffer: Bu
     text = json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
     text += b" " * (-len(text) % _ALIGNMENT)
     binary += b"\0" * (-len(binary) % _ALIGNMENT)
+    length = 12 + 8 + len(text) + 8 + len(binary)
+    if length > _LARGEST:
+        raise StorageError(
+            f"{path}: would have {length / 1e9:.1f} GB, and binary glTF ends at {_LARGEST / 1e9:.1f}; export a lower "
+            "degree, 8-bit numbers or one light"
+        )
     with replacing(path) as part, open(part, "wb") as file:
-        file.write(struct.pack("<III", _MAGIC, _VERSION, 12 + 8 + len(text) + 8 + len(binary)))
+        file.write(struct.pack("<III", _MAGIC, _VERSION, length))
         file.write(struct.pack("<II", len(text), _JSON) + text)
         file.write(struct.pack("<II", len(binary), _BINARY))
         file.write(binary)

@@ -1,3 +1,4 @@
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -80,6 +81,24 @@ def test_what_cannot_be_written_is_refused(
     outcome = prtbake("export", "smooth.h5", *options.split())
     assert outcome.code == 1
     assert sentence in outcome.err
+
+
+def test_a_scene_does_not_become_a_folder_named_glb(prtbake: Run, folder: Path, tmp_path: Path) -> None:
+    outcome = prtbake("export", folder / "scene.toml", "-o", tmp_path / "x.glb")
+    assert outcome.code == 1
+    assert "--to glb does not take this kind of file, scene; expected --to mitsuba" in outcome.err
+    assert not (tmp_path / "x.glb").exists()
+
+
+def test_a_high_error_names_the_degree_if_a_higher_one_is_left(prtbake: Run, asset: Path, tmp_path: Path) -> None:
+    remedy = "a higher --degree, up to 8, lowers the error of the coefficients"
+    assert remedy in prtbake("export", asset, "-o", tmp_path / "x.glb", "--degree", 1).err
+    rough = smooth_asset()
+    noise = np.random.default_rng(0).normal(size=rough.coefficients.shape).astype(np.float32)
+    prt.write_asset(dataclasses.replace(rough, coefficients=noise), tmp_path / "rough.h5")
+    outcome = prtbake("export", tmp_path / "rough.h5", "-o", tmp_path / "x.glb", "--degree", 8)
+    assert outcome.code == 0
+    assert remedy not in outcome.err
 
 
 @pytest.mark.parametrize(

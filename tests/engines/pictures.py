@@ -65,19 +65,23 @@ def soft_asset(up: str = "y", unit: str = "dm") -> Asset:
     return asset_of(mesh, np.stack(values, axis=-1).astype(np.float16), RINGS, SECTORS, 2, up=up, unit=unit)
 
 
-def write_users_file(mesh: prt.Mesh, path: Path) -> None:
-    """The object as a user may have it: two parts, split at every face, with texture coordinates, turned by a node."""
+def write_users_file(mesh: prt.Mesh, path: Path, scale: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> None:
+    """The object as a user may have it: two parts, split at every face, with texture coordinates, turned by a node, and
+    scaled or mirrored along its axes.
+    """
     file = GltfBuilder()
     *axis, w = TURN
     x = np.cross(np.eye(3), axis)  # x @ v is the product axis × v
     local_to_object = np.eye(3) + 2 * w * x + 2 * x @ x
     parts = []
     for faces in np.array_split(mesh.faces, 2):
-        positions, normals = (values[faces.ravel()] @ local_to_object for values in (mesh.positions, mesh.normals))
+        positions = mesh.positions[faces.ravel()] @ local_to_object / scale
+        normals = mesh.normals[faces.ravel()] @ local_to_object * scale
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         bounds = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
         part = file.solid(positions, np.arange(len(positions)), NORMAL=file.accessor(normals))
         file.json["accessors"][part["attributes"]["POSITION"]] |= bounds
         part["attributes"]["TEXCOORD_0"] = file.accessor(positions[:, :2])
         parts.append(part)
-    file.node(mesh=file.mesh(*parts), rotation=TURN)
+    file.node(mesh=file.mesh(*parts), rotation=TURN, scale=list(scale))
     file.write(path)

@@ -67,15 +67,21 @@ CASES = [  # asset, light, turn of the object, turn of the sky, engine
     ("z", "sun", 40.0, 0.0, "CYCLES"),
     ("z", "sky", 0.0, 75.0, "CYCLES"),
     ("onto", "sky", 40.0, 75.0, "CYCLES"),
+    ("onto scaled", "sky", 40.0, 75.0, "CYCLES"),
     ("y", "sky", 40.0, 75.0, "BLENDER_EEVEE_NEXT"),
 ]
+USERS = {"onto": (1.0, 1.0, 1.0), "onto scaled": (1.0, -2.0, 0.5)}
+"""Scales of the nodes of files that are exported onto."""
 
 
 def test_pictures_and_attributes(blender: Path, sky: Path, tmp_path: Path) -> None:
-    assets = {"y": soft_asset("y", "dm"), "z": soft_asset("z", "cm"), "onto": soft_asset("y", "m")}
-    write_users_file(assets["onto"].mesh, tmp_path / "user.glb")
+    assets = {"y": soft_asset("y", "dm"), "z": soft_asset("z", "cm")}
+    assets |= dict.fromkeys(USERS, soft_asset("y", "m"))
     for name, asset in assets.items():
-        onto = tmp_path / "user.glb" if name == "onto" else None
+        onto = None
+        if name in USERS:
+            onto = tmp_path / f"{name}.user.glb"
+            write_users_file(asset.mesh, onto, USERS[name])
         prt.export_gltf(asset, tmp_path / f"{name}.glb", onto=onto)
     situations = [Situation(assets[name], light, turn, sky_turn) for name, light, turn, sky_turn, _ in CASES]
     jobs = [
@@ -85,7 +91,7 @@ def test_pictures_and_attributes(blender: Path, sky: Path, tmp_path: Path) -> No
     rendered(blender, jobs, tmp_path)
     for case, job, situation in zip(CASES, jobs, situations, strict=True):
         assert difference(job, situation, sky) <= MOST, case
-        if case[0] == "onto":
+        if case[0] in USERS:
             continue  # two primitives of the file are one mesh of Blender
         imported = np.load(job["attributes"])
         stored = read_glb(Path(job["glb"])).attributes

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import prt_bake as prt
-from formats.errors import QueryError
+from formats.errors import QueryError, StorageError
+from prt_bake.export import glb
 from prt_bake.export.engine_form import engine_form
 from prt_bake.mathematics import sh
 from tests.export.assets import ball, smooth_asset, view_directions
@@ -54,6 +55,25 @@ def test_the_stated_error_is_the_one_that_another_reader_measures(tmp_path: Path
             found[:, b, k] = radiance(read, np.arange(len(true)), outgoing, np.repeat(light[:, None], 3, axis=1))
     measured = np.sqrt(((found - true) ** 2).sum() / (true**2).sum())
     assert read.extras["error"]["coefficients"] == pytest.approx(measured, rel=1e-4)
+
+
+def test_the_selftest_is_of_baked_vertices_from_the_first_to_the_last(tmp_path: Path) -> None:
+    asset = smooth_asset()
+    valid = np.ones(len(asset.valid), np.bool_)
+    valid[[0, 1, -1]] = False
+    read = export(tmp_path, dataclasses.replace(asset, valid=valid))
+    vertices = read.extras["selftest"]["vertex"]
+    assert (min(vertices), max(vertices)) == (2, len(valid) - 2)
+    assert all(valid[vertices])
+    assert "3 vertices that were not baked, which are black" in read.extras["left_out"]
+    assert "not baked" not in str(export(tmp_path, asset).extras["left_out"])
+
+
+def test_a_file_beyond_the_format_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(glb, "_LARGEST", 10_000)
+    with pytest.raises(StorageError, match=r"x\.glb: would have .* GB, and binary glTF ends at"):
+        export(tmp_path)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_one_light_is_folded_in(tmp_path: Path) -> None:
