@@ -146,6 +146,8 @@ def _shown(path: Path) -> _Shown:
             remarks.append("its lobes are not shown: the page lights by harmonics")
         if not asset.complete:
             remarks.append("is a partial bake; vertices not yet baked are black")
+        if any(item.get("item") == "other views" for item in asset.left_out):
+            remarks.append("is baked for one camera position (--for-eye); from others the page shows it wrongly")
         return _Shown(asset.up, asset.mesh, asset.quantity == "transfer", tuple(remarks))
 
 
@@ -156,15 +158,26 @@ def _shown_glb(path: Path) -> _Shown:
             f"{path}: has no coefficients (meshes[0].extras.prtbake); write it with: "
             f"prtbake export ASSET.h5 -o {path.name}"
         )
+    if not str(extras.get("version")).startswith("1."):
+        raise FormatError(
+            f"{path}: has version {extras.get('version')} of the layout; this program reads 1.x; "
+            "use a newer version of prtbake"
+        )
     return _Shown(str(extras.get("up", "y")), None, extras.get("quantity") != "radiance", ())
 
 
 def _glb_extras(path: Path) -> dict[str, Any] | None:
-    """Return `extras.prtbake` of the first mesh that has it; None if there is none, or the file is no GLB."""
+    """Return `extras.prtbake` of the first mesh that has it; None if there is none, or the file is no GLB.
+
+    Raises FormatError if the file is truncated.
+    """
     with open(path, "rb") as file:
         head = file.read(20)
         if head[:4] != b"glTF" or head[16:] != b"JSON":
             return None
+        size, expected = path.stat().st_size, int.from_bytes(head[8:12], "little")
+        if size < expected:
+            raise FormatError(f"{path}: is truncated: has {size} bytes of {expected}; copy or export it again")
         text = file.read(int.from_bytes(head[12:16], "little"))
     try:
         found = (mesh.get("extras", {}).get("prtbake") for mesh in json.loads(text)["meshes"])

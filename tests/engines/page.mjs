@@ -81,6 +81,13 @@ const STEPS = {
     await page.mouse.up({ button });
     if (key) await page.keyboard.up(key);
   },
+  /** Press Shift and a key `times` times while an element has the focus. */
+  shift: async (page, selector, key, times) => {
+    await page.focus(selector);
+    await page.keyboard.down("Shift");
+    for (let i = 0; i < times; i++) await page.keyboard.press(key);
+    await page.keyboard.up("Shift");
+  },
   /** Drag one finger. */
   swipe: async (page, [x, y], [toX, toY]) => {
     const touch = await page.touchscreen.touchStart(x, y);

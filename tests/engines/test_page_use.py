@@ -85,6 +85,12 @@ def test_a_finger_orbits_a_phone(run_node: RunNode, site: Path) -> None:
     assert orbit["eye"] != first["eye"]
 
 
+def test_keys_orbit(run_node: RunNode, site: Path) -> None:
+    first, orbit = states(run_node, site, ["shift", "#view", "ArrowRight", 5])
+    assert orbit["eye"] != first["eye"]
+    assert np.linalg.norm(orbit["eye"][:3]) == pytest.approx(np.linalg.norm(first["eye"][:3]), rel=1e-3)
+
+
 def test_next_object_and_dropped_files(run_node: RunNode, site: Path, files: Path, tmp_path: Path) -> None:
     write_asset(smooth_asset(degree=1), tmp_path / "dropped.h5")
     prt.write_image(tmp_path / "evening.hdr", np.ones((8, 16, 3), np.float32))
@@ -151,6 +157,12 @@ def xyz(path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"32-bit_rle_rgbe", b"32-bit_rle_xyze"))
 
 
+def not_finite(path: Path) -> None:
+    pixels = np.ones((8, 16, 3), np.float32)
+    pixels[2, 3] = np.nan
+    prt.write_image(path, pixels)
+
+
 @pytest.mark.parametrize(
     ("name", "damage", "says"),
     [
@@ -171,6 +183,11 @@ def xyz(path: Path) -> None:
         ("asset.glb", without_attributes, "asset.glb has lost _PRT_2_1 in another program; export it again."),
         ("sky.hdr", cut, r"sky.hdr is truncated in row \d+ of 256; copy it again."),
         ("sky.hdr", xyz, "sky.hdr is stored in an unusual order or in XYZ; save it again as RGBE."),
+        (
+            "sky.exr",
+            not_finite,
+            "sky.exr has pixels that are not finite; repair it, or export the page with it and --mend.",
+        ),
         ("asset.h5", text, "asset.h5 is neither an asset (.h5, .glb) nor a sky (.hdr, .exr)."),
     ],
 )
@@ -179,7 +196,7 @@ def test_what_the_page_says_of_a_bad_file(
 ) -> None:
     """The object stays, and a file that is good is shown after it."""
     bad = tmp_path / name
-    bad.write_bytes((files / name).read_bytes())
+    bad.write_bytes((files / name).read_bytes() if (files / name).exists() else b"")
     damage(bad)
     first, dropped, after = states(
         run_node,
@@ -236,15 +253,50 @@ def swap_attributes(document: dict[str, Any]) -> None:
     attributes["_PRT_1_0"], attributes["_PRT_2_0"] = attributes["_PRT_2_0"], attributes["_PRT_1_0"]
 
 
-NO_GRAPHICS = """
-Object.defineProperty(Navigator.prototype, "gpu", { get: () => undefined });
-HTMLCanvasElement.prototype.getContext = () => null;
-"""
+def test_what_an_asset_leaves_out_is_named(run_node: RunNode, files: Path, tmp_path: Path) -> None:
+    for name in ("one_eye.h5", "partial.h5"):
+        (tmp_path / name).write_bytes((files / "asset.h5").read_bytes())
+    with h5py.File(tmp_path / "one_eye.h5", "r+") as file:
+        file.attrs["left_out"] = '[{"item": "other views"}]'
+    with h5py.File(tmp_path / "partial.h5", "r+") as file:
+        file.attrs["complete"] = np.uint8(0)
+    site = make_site(tmp_path / "site", [tmp_path / "one_eye.h5", tmp_path / "partial.h5"])
+    one_eye, partial = states(run_node, site, ["click", "#next"])
+    assert one_eye["leftOut"].startswith("Not shown: light reflected at the surface, other views.")
+    assert "vertices not baked yet, which are black." in partial["leftOut"]
+
+
+def test_a_sky_for_an_object_of_one_light_waits_for_the_next(run_node: RunNode, site: Path, tmp_path: Path) -> None:
+    export_gltf(smooth_asset(), tmp_path / "one_light.glb", 3, light=np.ones((9, 3)))
+    prt.write_image(tmp_path / "evening.hdr", np.ones((8, 16, 3), np.float32))
+    _, waiting, lit = states(
+        run_node, site, ["drop", str(tmp_path / "one_light.glb"), str(tmp_path / "evening.hdr")], ["click", "#next"]
+    )
+    assert waiting["message"] == "evening.hdr lights the next object; the light of this one cannot change."
+    assert (lit["message"], lit["light"]) == ("", "evening.hdr")
+
+
+def test_a_damaged_list_of_objects(run_node: RunNode, site: Path, files: Path) -> None:
+    (site / "site.json").write_text("{")
+    damaged, dropped = states(run_node, site, ["drop", str(files / "asset.glb")])
+    assert damaged["message"] == "site.json is damaged; export the page again."
+    assert (dropped["message"], dropped["name"], dropped["light"]) == ("", "asset.glb", "sun")
+
+
+@pytest.mark.parametrize("number", ["-1", "three"])
+def test_an_object_that_the_address_does_not_have(number: str, run_node: RunNode, site: Path) -> None:
+    state = states(run_node, site, query=f"backend=webgl&object={number}")[0]
+    assert (state["message"], state["name"]) == ("", "asset")
+
+
+NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null;"
+NO_GPU = 'Object.defineProperty(Navigator.prototype, "gpu", { get: () => undefined });'
 
 
 def test_a_browser_without_graphics_and_a_lost_one(run_node: RunNode, site: Path) -> None:
-    without = states(run_node, site, before=NO_GRAPHICS)[0]
-    assert without["message"].startswith("This browser has neither WebGL 2 nor WebGPU")
+    for before in (NO_WEBGL + NO_GPU, NO_WEBGL):  # browsers have navigator.gpu without a device that it could give
+        without = states(run_node, site, before=before)[0]
+        assert without["message"].startswith("This browser has neither WebGL 2 nor WebGPU")
     _, lost = states(run_node, site, ["lose"], allowed=["CONTEXT_LOST", "WebGL"])
     assert lost["message"] == "The graphics device was lost; reload the page."
 

@@ -1,6 +1,7 @@
 """The folder that a browser shows: its files, its lights, what it refuses, and that it is written at once."""
 
 import json
+import os
 import re
 import struct
 import tomllib
@@ -121,7 +122,7 @@ def test_a_large_sky_becomes_smaller_and_keeps_its_light(page: Path, folder: Pat
 
 
 def test_a_glb_is_shown_if_it_has_coefficients(page: Path, tmp_path: Path) -> None:
-    shown = write_glb(tmp_path / "one light.glb", {"quantity": "radiance", "up": "y"})
+    shown = write_glb(tmp_path / "one light.glb", {"version": "1.0", "quantity": "radiance", "up": "y"})
     said: list[str] = []
     export_site(shown, tmp_path / "site", "sun:0,1,0", say=said.append)
     assert described(tmp_path / "site")["objects"] == [{"name": "one light", "file": "one_light.glb"}]
@@ -132,6 +133,11 @@ def test_a_glb_is_shown_if_it_has_coefficients(page: Path, tmp_path: Path) -> No
     (tmp_path / "text.glb").write_text("solid")
     with pytest.raises(FormatError, match="has no coefficients"):
         export_site(tmp_path / "text.glb", tmp_path / "other")
+    with pytest.raises(FormatError, match=r"newer\.glb: has version 2\.0 of the layout; this program reads 1\.x"):
+        export_site(write_glb(tmp_path / "newer.glb", {"version": "2.0"}), tmp_path / "other")
+    os.truncate(shown, shown.stat().st_size - 1)
+    with pytest.raises(FormatError, match=r"one light\.glb: is truncated: has \d+ bytes of \d+"):
+        export_site(shown, tmp_path / "other")
 
 
 def test_errors_leave_no_folder(page: Path, folder: Path, tmp_path: Path) -> None:

@@ -49,13 +49,15 @@ function readRecord(reader) {
   const [positions, normals, tangents, faces] = ["positions", "normals", "tangents", "faces"].map((name) => read(`/mesh/${name}`));
   const [light, vertex, outgoing, radiance] = ["light", "vertex", "outgoing", "radiance"].map((name) => (shape("/selftest/light") ? read(`/selftest/${name}`) : []));
   const bake = JSON.parse(reader.text("/provenance/json") ?? "{}").estimated_relative_rmse?.total;
+  const missing = ["light reflected at the surface", ...JSON.parse(attribute("/", "left_out") ?? "[]").map(({ item }) => item)];
+  if (shape("/lobes/axes")) missing.push("lobes");
+  if (!attribute("/", "complete")) missing.push("vertices not baked yet, which are black");
   const error = [["network", attribute("/", "network_error")?.[0]], ["bake", bake]];
   return {
     positions, normals, tangents, faces, origin: attribute("/mesh/positions", "origin"), up: attribute("/", "up"),
     valid: shape(`${group}/valid`) && read(`${group}/valid`), quantity: attribute(group, "quantity"),
     error: error.map(([name, value]) => `${name} ${value > 0 ? `${(100 * value).toPrecision(2)} %` : "unknown"}`).join(", "),
-    missing: shape("/lobes/axes") ? ["light reflected at the surface", "lobes"] : ["light reflected at the surface"],
-    selftest: { light, vertex, outgoing, radiance }, rings: attribute("/bins", "rings"), sectors,
+    missing, selftest: { light, vertex, outgoing, radiance }, rings: attribute("/bins", "rings"), sectors,
     ...(group === "/transfer" ? plainData : compactData)(reader, sectors),
   };
 }

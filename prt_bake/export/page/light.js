@@ -1,5 +1,6 @@
 // Light as coefficients of real spherical harmonics: orthonormal, index l(l+1)+m, no Condon-Shortley phase.
 // Skies and suns are in the polar frame (z up, azimuth from x to y); `turned` brings them into object space.
+import { Failure } from "./sky.js";
 const NUMBERS = { mul: (a, b) => a * b, add: (a, b) => a + b };
 const GAUSS = [[-0.9061798459386640, 0.2369268850561891], [-0.5384693101056831, 0.4786286704993665], [0, 0.5688888888888889],
   [0.5384693101056831, 0.4786286704993665], [0.9061798459386640, 0.2369268850561891]]; // nodes and weights on [-1, 1]
@@ -68,5 +69,6 @@ export async function project(degree, { width, height, rows }) {
     });
     if (++number % 128 === 0) await new Promise((done) => setTimeout(done)); // the page stays alive
   }
+  if (!light.every(Number.isFinite)) throw new Failure("has pixels that are not finite; repair it, or export the page with it and --mend.");
   return light;
 }

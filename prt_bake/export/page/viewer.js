@@ -10,18 +10,18 @@ const $ = (id) => document.getElementById(id), number = (id) => Number($(id).val
 const canvas = $("view"), query = new URLSearchParams(location.search), scene = new THREE.Scene();
 const camera = new THREE.PerspectiveCamera(30), page = (window.prtbake = { scene, frames: [], busy: () => lightChanged }); // what tests ask
 const lights = [{ name: "sun", polar: async (degree) => sun(degree, number("height")) }];
+const failing = (text) => (cause) => Promise.reject(new Failure(text, { cause }));
 let renderer, controls, model, objects = [], shown = 0, polar = null, lightChanged = false, viewChanged = false;
 
 async function start() {
-  if (!navigator.gpu && !document.createElement("canvas").getContext("webgl2")) {
-    throw new Failure("This browser has neither WebGL 2 nor WebGPU, which the page needs; try a newer one.");
-  }
+  const lost = () => (renderer.setAnimationLoop(null), say("The graphics device was lost; reload the page."));
   renderer = new THREE.WebGPURenderer({ canvas, antialias: true, forceWebGL: query.get("backend") === "webgl" });
-  renderer.onDeviceLost = () => (renderer.setAnimationLoop(null), say("The graphics device was lost; reload the page."));
-  await renderer.init();
+  renderer.onDeviceLost = lost;
+  await renderer.init().catch(failing("This browser has neither WebGL 2 nor WebGPU; switch graphics acceleration on, or try a newer one."));
+  renderer.backend.device?.lost.then(lost); // three.js does not tell when the reason is "destroyed", as after some crashes
   page.backend = renderer.backend.isWebGPUBackend ? "webgpu" : "webgl";
   bindControls();
-  const site = await (await get("site.json")).json().catch(() => ({}));
+  const site = await (await get("site.json")).json().catch(failing("site.json is damaged; export the page again."));
   objects = site.objects ?? [];
   lights.unshift(...(site.lights ?? []).map(({ name, file }) => skyOf(name, async () => (await get(file)).arrayBuffer())));
   listLights();
@@ -44,7 +44,7 @@ function skyOf(name, load) {
 }
 
 async function showObject(which) {
-  const { name, file } = objects[(shown = which % objects.length)], began = performance.now();
+  const { name, file } = objects.at((shown = which % objects.length || 0)), began = performance.now();
   say(`Loading ${name} …`);
   await open(new Uint8Array(await (await get(file)).arrayBuffer()), name);
   page.opened = performance.now() - began;
@@ -52,26 +52,21 @@ async function showObject(which) {
 
 /** Show an asset, or light the object by a sky. */
 async function open(bytes, name) {
-  const kind = String.fromCharCode(...bytes.subarray(0, 4));
-  if (kind.startsWith("#?") || kind === "v/1\x01") await addLight(skyOf(name, async () => bytes));
+  const kind = String.fromCharCode(...bytes.subarray(0, 4)), isSky = kind.startsWith("#?") || kind === "v/1\x01";
+  if (isSky) await addLight(skyOf(name, async () => bytes));
   else await named(name, async () => {
     if (kind === "\x89HDF") await show(await readAsset(bytes), name, bytes.length);
     else if (kind === "glTF") await show(await (await import("./glb.js")).readGlb(bytes), name, bytes.length);
     else throw new Failure("is neither an asset (.h5, .glb) nor a sky (.hdr, .exr).");
   });
-  say("");
+  say(isSky && model?.record.quantity === "radiance" ? `${name} lights the next object; the light of this one cannot change.` : "");
   if (model) await attempt(relight);
 }
 
 /** Run what may fail because of a file, and name the file in what is then said. */
-async function named(name, work) {
-  try {
-    return await work();
-  } catch (error) {
-    if (!(error instanceof Failure)) console.warn(error);
-    throw new Failure(`${name} ${error instanceof Failure ? error.message : `cannot be shown: ${error.message}`}`);
-  }
-}
+const named = (name, work) => work().catch((error) => {
+  throw new Failure(`${name} ${error instanceof Failure ? error.message : `cannot be shown: ${error.message}`}`, { cause: error });
+});
 
 async function addLight(sky) {
   await sky.polar(2); // a picture that cannot be read does not become a light
@@ -108,7 +103,8 @@ function frameObject() {
   Object.assign(camera, { near: radius / 100, far: 100 * radius });
   controls?.dispose();
   controls = Object.assign(new OrbitControls(camera, canvas), { enableDamping: true, dampingFactor: 0.12, enablePan: false });
-  Object.assign(controls, { minDistance: 1.05 * radius, maxDistance: 20 * radius, target: center.clone() });
+  controls.listenToKeyEvents(canvas);
+  Object.assign(controls, { keyRotateSpeed: 10, minDistance: 1.05 * radius, maxDistance: 20 * radius, target: center.clone() });
   controls.addEventListener("change", () => (viewChanged = true));
   resize();
 }
@@ -154,14 +150,14 @@ async function attempt(work) {
   try {
     await work();
   } catch (error) {
-    if (!(error instanceof Failure)) console.warn(error);
+    console.warn(error);
     say(error.message);
   }
 }
 
 function bindControls() {
   const openAll = (files) => (page.work = attempt(async () => {
-    for (const file of files) await open(new Uint8Array(await file.arrayBuffer()), file.name);
+    for (const file of files) say(`Loading ${file.name} …`), await open(new Uint8Array(await file.arrayBuffer()), file.name);
   }));
   const turnsLight = (event) => event.shiftKey || event.button === 2 || $("drag").ariaPressed === "true";
   new ResizeObserver(resize).observe(canvas);
