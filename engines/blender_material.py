@@ -49,7 +49,7 @@ def light_of(thing, about, to_object):
     if about["quantity"] == "radiance":
         return np.ones((1, 3))
     turn = np.linalg.inv(np.array(thing.matrix_world.to_3x3())).T @ to_object.T
-    turn /= np.cbrt(np.linalg.det(turn))
+    turn /= np.cbrt(abs(np.linalg.det(turn)))
     of_scene = [harmonics(to @ turn, about["light_degree"]).T @ rgb for to, rgb in lights(bpy.context.scene)]
     return sum(of_scene) if of_scene else np.array([list(rgb) for rgb in about["light"]["coefficients"]])
 

@@ -57,7 +57,8 @@ static inline const char *prt_load(prt_asset *a, hid_t file) {
                 prt_attribute(file, "basis", "degree", H5T_NATIVE_INT, 1, &a->degree) &&
                 prt_attribute(file, "mesh/positions", "origin", H5T_NATIVE_DOUBLE, 3, a->origin);
     if (!known || a->rings < 1 || a->sectors < 1 || a->degree < 0) return "lacks its rings, sectors, degree or origin";
-    hsize_t bins = (hsize_t)a->rings * a->sectors, terms = (hsize_t)(a->degree + 1) * (a->degree + 1), *s = a->shape;
+    hsize_t bins = (hsize_t)a->rings * a->sectors, terms = (hsize_t)a->degree + 1, *s = a->shape;
+    terms *= terms;
     a->one_light = prt_begins(file, "transfer", "quantity", "radiance");
     hid_t set = H5Dopen2(file, "transfer/coefficients", H5P_DEFAULT), space = H5Dget_space(set), type = H5Dget_type(set);
     if (H5Sget_simple_extent_ndims(space) == 4) H5Sget_simple_extent_dims(space, s, NULL);
