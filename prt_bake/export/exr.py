@@ -83,9 +83,7 @@ def write_textures(asset: Asset, path: str | os.PathLike[str], exported: Exporte
     texture, description, mesh = texture_files(path)
     layout = layout_of(exported.form)
     colours, scale = vertex_colours(asset, np.array(exported.extras["light"]["coefficients"]))
-    entries = {
-        name: entry for name, entry in exported.extras.items() if name not in ("attributes", "texels", "quantize")
-    }
+    entries = {name: entry for name, entry in exported.extras.items() if name not in _OF_ATTRIBUTES}
     entries["light"] = entries["light"] | {"colour_scale": scale}
     entries["texture"] = layout._asdict()
     buffer = Buffer()

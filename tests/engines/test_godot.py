@@ -122,7 +122,7 @@ CASES = [  # asset, light, turn of the object, turn of the sky, form
 def test_pictures(run_node: RunNode, tmp_path: Path) -> None:
     sky = Path(prt.example("sky.hdr"))
     assets = {"y": soft_asset("y", "dm"), "z": soft_asset("z", "cm"), "onto": soft_asset("y", "m")}
-    write_users_file(assets["onto"].mesh, tmp_path / "user.glb")
+    write_users_file(assets["onto"].mesh, tmp_path / "user.glb", (1.0, 2.0, 0.5))
     prt.export_gltf(assets["onto"], tmp_path / "onto.float.glb", onto=tmp_path / "user.glb")
     for up in ("y", "z"):
         asset = assets[up]

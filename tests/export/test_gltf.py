@@ -144,6 +144,35 @@ def test_colours_are_the_mean_radiance_under_the_stated_light(tmp_path: Path) ->
     assert 0.9 < read.attributes["COLOR_0"].max() <= 1.0
 
 
+def test_the_default_light_is_upright_and_a_few_bright_vertices_do_not_darken_the_others(tmp_path: Path) -> None:
+    asset = smooth_asset()
+    sky = prt.project_environment(prt.read_environment(prt.example("sky.hdr")), up="z")
+    np.testing.assert_allclose(
+        export(tmp_path, dataclasses.replace(asset, up="z")).extras["light"]["coefficients"], sky
+    )
+    coefficients, valid = np.asarray(asset.coefficients).copy(), np.ones(len(asset.valid), np.bool_)
+    plain = export(tmp_path, asset).extras["light"]["colour_scale"]
+    coefficients[7] *= 100.0
+    bright = dataclasses.replace(asset, coefficients=coefficients)
+    assert export(tmp_path, bright).extras["light"]["colour_scale"] > 0.9 * plain
+    valid[:] = False
+    valid[::9] = True
+    coefficients[7] /= 100.0
+    few = export(tmp_path, dataclasses.replace(asset, coefficients=coefficients, valid=valid))
+    true = (
+        np.einsum("vbkc,kc->vc", coefficients.astype(np.float64), np.array(few.extras["light"]["coefficients"])) / 256
+    )
+    brightest = np.percentile(np.maximum(true[valid], 0.0), 99)
+    assert few.extras["light"]["colour_scale"] == pytest.approx(1.0 / brightest, rel=1e-4)
+
+
+@pytest.mark.parametrize(("vertices", "kind"), [(2**16 - 1, 5123), (2**16, 5125)])
+def test_no_index_is_the_one_that_restarts_a_primitive(vertices: int, kind: int) -> None:
+    buffer = glb.Buffer()
+    buffer.add_indices(np.array([[0, 1, vertices - 1]]), vertices)
+    assert buffer.accessors[0]["componentType"] == kind
+
+
 def test_texture_coordinates_of_the_mesh_are_kept(tmp_path: Path) -> None:
     mesh = ball()
     uv = np.random.default_rng(0).random((len(mesh.positions), 2))
