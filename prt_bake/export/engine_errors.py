@@ -90,7 +90,12 @@ def errors_by_degree(asset: Asset, light: ArrayLike | None = None) -> Array:
 
 
 def degree_for(asset: Asset, error: float, light: ArrayLike | None = None) -> int:
-    """The least degree of the view whose coefficients are within `error`; raises QueryError if none up to 8 is."""
+    """The least degree of the view whose coefficients are within `error`.
+
+    Raises QueryError if `error` is not between 0 and 1, or if no degree up to 8 suffices.
+    """
+    if not 0.0 < error < 1.0:
+        raise QueryError(f"error: expected a number between 0 and 1, found {error:g}")
     errors = errors_by_degree(asset, light)
     if not (errors <= error).any():
         raise QueryError(

@@ -21,6 +21,7 @@ from tests.engines.pictures import soft_asset
 from tests.export.assets import smooth_asset
 from tests.formats.asset.test_asset import make_asset
 from tests.formats.asset.test_compact import compact_asset
+from tests.formats.mesh.gltf_files import GltfBuilder
 
 pytestmark = pytest.mark.usefixtures("chromium")
 
@@ -108,6 +109,33 @@ def test_vertices_of_glb(
     assert state["selftest"] < 1e-5
     assert state["check"] == "meets its self-test"
     assert state["lights"] is not folded
+
+
+def test_all_parts_of_a_users_file_are_shown(run_node: RunNode, tmp_path: Path) -> None:
+    """Two nodes, one of them turned and mirrored, each with half of the baked faces."""
+    asset, light, user = smooth_asset(), light_of(2), GltfBuilder()
+    halves = np.array_split(asset.mesh.faces, 2)
+    for faces, scale, shift in zip(
+        halves, ([1.0, 1.0, 1.0], [2.0, -1.0, 0.5]), ([0.0, 0.0, 0.0], [1, 2, 3]), strict=True
+    ):
+        local = (asset.mesh.positions - shift)[faces.ravel()] / scale
+        normals = asset.mesh.normals[faces.ravel()] * scale
+        part = user.solid(
+            local, np.arange(len(local)), NORMAL=user.accessor(normals / np.linalg.norm(normals, axis=1)[:, None])
+        )
+        user.node(mesh=user.mesh(part), scale=scale, translation=shift)
+    user.write(tmp_path / "user.glb")
+    export_gltf(asset, tmp_path / "onto.glb", 3, onto=tmp_path / "user.glb")
+    eye = asset.mesh.positions.mean(axis=0) + np.array([3.0, 2.0, 6.0])
+    steps = [["ready"], ["state"], ["radiance", eye.tolist(), light.ravel().tolist()]]
+    _, state, found = drive(run_node, make_site(tmp_path / "site", [tmp_path / "onto.glb"]), steps, **BACKENDS["webgl"])
+    vertices = np.concatenate([faces.ravel() for faces in halves])
+    outgoing = eye - asset.mesh.positions[vertices]
+    outgoing /= np.linalg.norm(outgoing, axis=1, keepdims=True)
+    expected = engine_form(asset, 3).radiance(vertices, outgoing, light)
+    assert relative_rms(found, np.maximum(expected, 0.0)) < 1e-4
+    assert state["check"] == "meets its self-test"
+    assert state["figures"].startswith("320 triangles · 960 vertices · ")
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

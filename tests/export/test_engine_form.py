@@ -79,6 +79,12 @@ def test_the_least_degree_within_an_error_is_chosen() -> None:
         degree_for(asset, 1e-6)
 
 
+@pytest.mark.parametrize("error", [0.0, 1.0, -0.1, float("nan")])
+def test_an_error_that_is_none_is_refused(error: float) -> None:
+    with pytest.raises(QueryError, match="error: expected a number between 0 and 1"):
+        degree_for(smooth_asset(), error)
+
+
 def test_an_object_that_is_turned_has_the_same_radiance() -> None:
     turn = np.array([[0.0, -0.6, 0.8], [1.0, 0.0, 0.0], [0.0, 0.8, 0.6]])
     mesh = ball()
