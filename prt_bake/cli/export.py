@@ -42,7 +42,7 @@ _HIGH_ERROR = 0.05
 def export(
     context: typer.Context,
     source: Annotated[
-        list[Path], typer.Argument(metavar="SOURCE...", help="Asset; several for a site; or a scene for Mitsuba.")
+        list[Path], typer.Argument(metavar="SOURCE", help="Asset; several for a site; or a scene for Mitsuba.")
     ],
     output: Annotated[
         Path,
