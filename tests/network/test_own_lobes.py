@@ -56,4 +56,5 @@ def test_a_bake_takes_the_lobes_of_its_network() -> None:
     found = lobed().on(mesh).own_lobes(mesh.positions, towards)
     assert found is not None
     for stored, expected in zip((asset.lobes.axes, asset.lobes.sharpness, asset.lobes.powers), found, strict=True):
-        assert np.abs(stored[:, node, :3] - expected).max() <= 1e-4 * np.abs(expected).max()
+        # Assets hold the numbers of their files, in half precision.
+        assert np.abs(stored[:, node, :3] - expected).max() <= 6e-4 * np.abs(expected).max()
