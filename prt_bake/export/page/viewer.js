@@ -59,8 +59,9 @@ async function open(bytes, name) {
     else if (kind === "glTF") await show(await (await import("./glb.js")).readGlb(bytes), name, bytes.length);
     else throw new Failure("is neither an asset (.h5, .glb) nor a sky (.hdr, .exr).");
   });
-  say(isSky && model?.record.quantity === "radiance" ? `${name} lights the next object; the light of this one cannot change.` : "");
+  say("");
   if (model) await attempt(relight);
+  if (isSky && model?.record.quantity === "radiance") say(`${name} lights the next object; the light of this one cannot change.`);
 }
 
 /** Run what may fail because of a file, and name the file in what is then said. */
