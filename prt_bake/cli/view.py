@@ -13,8 +13,8 @@ import typer
 from formats.errors import QueryError
 from formats.extras import require
 from prt_bake.cli.shared import signals
-from prt_bake.cli.shared.browser import view_in_browser
 from prt_bake.cli.shared.fixed import fixed_light
+from prt_bake.cli.shared.ineffective import refuse_ineffective
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.options import (
     USUAL_FOV,
@@ -45,6 +45,8 @@ if TYPE_CHECKING:
     from prt_bake.shading.tone_map import ToneMap as ToneMapName
 
 DEFAULT_SIZE = Size(960, 720)
+_OF_BROWSER = ("asset", "light", "mend", "browser", "port")
+"""The options that --browser takes."""
 _WITHOUT_DISPLAY = "there is no display for the window; --screenshot F.png writes the picture without one"
 
 
@@ -105,7 +107,7 @@ def view(
     Orbit, rotate the light, flip to a reference, inspect errors and coefficients. Press h in the window for its keys.
     """
     if browser:
-        view_in_browser(context, asset, light, mend, port)
+        _view_in_browser(context, asset, light, mend, port)
         return
     if port:
         raise typer.BadParameter("--port: has no effect on the window; add --browser")
@@ -136,6 +138,27 @@ def view(
     for remark in _remarks(opened.preview, light or []):
         say(f"{asset}: {remark}")
     _show(window, plotter, opened, asset.name, screenshot, compare)
+
+
+def _view_in_browser(context: typer.Context, asset: Path, lights: list[str] | None, mend: bool, port: int) -> None:
+    """Serve the page with an asset, or a .glb, on this machine; print its address, and open it if there is a display.
+
+    Raises typer.BadParameter for options of the window, and what `site_files` and `show_page` raise.
+    """
+    refuse_ineffective(context, _OF_BROWSER, "on the page of --browser")
+    kinds = ("mesh",) if asset.suffix.lower() == ".glb" else ("asset",)
+    refuse_other_kinds({"ASSET": (asset, kinds), "--light": (lights, LIGHT)})
+    from prt_bake.export.server import show_page
+    from prt_bake.export.site import site_files
+
+    files = site_files(asset, lights or (), mend=mend, say=say)
+    if show_page(files, port, _print_address):
+        signals.record(signal.SIGINT)
+
+
+def _print_address(address: str) -> None:
+    print(address, flush=True)
+    say("the page is open for this machine alone; Ctrl-C ends it")
 
 
 class _Options(NamedTuple):

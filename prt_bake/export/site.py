@@ -127,7 +127,7 @@ def _page_files() -> Iterator[tuple[str, Path]]:
     if not (vendor / "VERSIONS").is_file():
         raise StorageError(
             f"{vendor}: the JavaScript packages of the page (three.js, h5wasm) are missing; run `make site` in the "
-            "working copy of prtbake, which needs npm, or install prtbake from its wheel, which has them"
+            "clone of prtbake, which needs npm, and install prtbake again, or install its wheel, which has them"
         )
     for path in sorted([*PAGE.iterdir(), *vendor.rglob("*")]):
         if path.is_file() and (path.suffix in _SUFFIXES or vendor in path.parents):
