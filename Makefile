@@ -33,8 +33,8 @@ test-statistics: .venv/installed-dev .venv/apart/installed
 	$(PYTEST) -m "statistics and not engines"
 
 # Other people's programs on exported files: Chromium, Node.js packages, a C compiler. What is not installed is said and skipped.
-test-engines: .venv/installed-dev tests/engines/node_modules/.package-lock.json
-	$(BIN)/python -m pytest -m engines -rs tests/engines
+test-engines: .venv/installed-dev site tests/engines/node_modules/.package-lock.json
+	$(BIN)/python -m pytest -m engines -rs --ignore tests/engines/test_blender.py tests/engines
 
 # Blender as a Python module, 1 GB, in an environment of its own.
 test-blender: .venv/installed-dev .venv/blender/installed

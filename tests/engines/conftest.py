@@ -7,7 +7,7 @@ import shutil
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 
@@ -25,12 +25,27 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker("engines")
 
 
+def missing(what: str) -> NoReturn:
+    """Skip a test for want of a program; in CI, which installs them, it fails."""
+    if os.environ.get("CI"):
+        pytest.fail(what)
+    pytest.skip(what)
+
+
 def program(name: str, package: str) -> str:
     """Return the path of a program; without it the test is skipped, and says which package has it."""
     found = shutil.which(name)
     if found is None:
-        pytest.skip(f"{name} was not found: install the package {package} (Debian: apt-get install {package})")
+        missing(f"{name} was not found: install the package {package} (Debian: apt-get install {package})")
     return found
+
+
+def node(script: str, *arguments: object, timeout: float = 300) -> Any:
+    """Run a script of this folder, with arguments, and return what it prints as JSON."""
+    command = ["node", str(HERE / script), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
 
 
 @pytest.fixture(scope="session")
@@ -39,7 +54,7 @@ def node_packages() -> Path:
     program("node", "nodejs")
     folder = HERE / "node_modules"
     if not (folder / ".package-lock.json").is_file():
-        pytest.skip("the npm packages of tests/engines are not installed: run 'make test-engines'")
+        missing("the npm packages of tests/engines are not installed: run 'make test-engines'")
     return folder
 
 
@@ -54,15 +69,8 @@ def chromium(node_packages: Path) -> Iterator[str]:
 
 @pytest.fixture(scope="session")
 def run_node(node_packages: Path) -> RunNode:
-    """A function that runs a script of this folder, with arguments, and returns what it prints as JSON."""
-
-    def run(script: str, *arguments: object, timeout: float = 300) -> Any:
-        command = ["node", str(HERE / script), *map(str, arguments)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
-        assert done.returncode == 0, done.stderr
-        return json.loads(done.stdout)
-
-    return run
+    """`node`, where the npm packages are."""
+    return node
 
 
 @pytest.fixture(scope="session")

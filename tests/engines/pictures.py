@@ -39,7 +39,8 @@ class Situation:
         camera = replace(camera, eye=back @ camera.eye, target=back @ camera.target)
         words = f"sun:{','.join(map(str, SUN[self.asset.up]))}:{','.join(map(str, IRRADIANCE))}"
         light = words if self.light == "sun" else str(sky)
-        lighting = prt.read_lighting(light, up=self.asset.up, rotate=self.sky_turn - self.turn)
+        rotate = 0.0 if self.light == "file" else self.sky_turn - self.turn  # the file's light turns with the object
+        lighting = prt.read_lighting(light, up=self.asset.up, rotate=rotate)
         return prt.render_picture(self.asset, lighting, camera, samples=4, suns="plain", background=False)
 
 

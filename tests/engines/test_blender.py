@@ -60,7 +60,7 @@ def difference(job: dict[str, Any], situation: Situation, sky: Path) -> float:
 
 
 CASES = [  # asset, light, turn of the object, turn of the sky, engine
-    ("y", "file", 0.0, 0.0, "CYCLES"),
+    ("y", "file", 150.0, 0.0, "CYCLES"),
     ("y", "sun", 40.0, 0.0, "CYCLES"),
     ("y", "sky", 40.0, 75.0, "CYCLES"),
     ("z", "file", 0.0, 0.0, "CYCLES"),

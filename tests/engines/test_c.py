@@ -15,7 +15,7 @@ import prt_bake as prt
 from prt_bake.mathematics import sh
 from tests import ROOT
 from tests.baking.output.test_selftest import ASSETS
-from tests.engines.conftest import program
+from tests.engines.conftest import missing, program
 from tests.shapes import ball
 
 ENGINES = ROOT / "engines"
@@ -52,7 +52,7 @@ def compiled(source: Path, output: Path, language: str) -> Path:
     package = [program("pkg-config", "pkg-config"), "--cflags", "--libs", "hdf5"]
     found = subprocess.run(package, capture_output=True, text=True, check=False)
     if found.returncode:
-        pytest.skip("libhdf5 was not found: install the package libhdf5-dev")
+        missing("libhdf5 was not found: install the package libhdf5-dev")
     words = [program(compiler, compiler), *shlex.split(options), "-O2", "-Wall", "-Wextra", "-Werror", f"-I{ENGINES}"]
     done = subprocess.run([*words, source, *shlex.split(found.stdout), "-lm", "-o", output], capture_output=True)
     assert done.returncode == 0, done.stderr.decode()

@@ -105,7 +105,7 @@ def job_of(situation: Situation, glb: str, sky: Path) -> dict[str, Any]:
 
 
 CASES = [  # asset, light, turn of the object, turn of the sky, form
-    ("y", "file", 0.0, 0.0, "float"),
+    ("y", "file", 150.0, 0.0, "float"),
     ("y", "sun", 40.0, 0.0, "float"),
     ("y", "sky", 40.0, 75.0, "float"),
     ("y", "sky", 40.0, 75.0, "int8"),

@@ -8,16 +8,9 @@ import threading
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
-import pytest
-
 from prt_bake.cli.main import main
-from prt_bake.export.site import PAGE
 from tests import ROOT
 from tests.engines.conftest import RunNode
-
-pytestmark = pytest.mark.skipif(
-    not (PAGE / "vendor" / "VERSIONS").is_file(), reason="the packages of the page are not there: run 'make site'"
-)
 
 
 def test_a_site_of_two_objects_on_a_plain_web_server(
