@@ -12,6 +12,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from PIL import Image
 
 import prt_bake as prt
@@ -22,6 +23,7 @@ from tests.engines.conftest import node
 from tests.engines.pages import BACKENDS, camera_of, drive, make_site
 from tests.engines.pages import relative_rms as rms_of_vertices
 from tests.engines.pictures import Situation, relative_rms
+from tests.shading.assets import asset_of
 
 SKY = Path(prt.example("sky.hdr"))
 LIGHTS = (("file", 150.0, 0.0), ("sun", 150.0, 0.0), ("sky", 215.0, 75.0))
@@ -49,6 +51,19 @@ def page(path: Path, asset: prt.Asset, folder: Path) -> None:
             f"page, {name}: opened in {state['opened'] / 1e3:.1f} s, self-test {state['selftest']:.1e}, vertices "
             f"{worst:.3%}, picture {rms_of_vertices(picture, true):.2%}"
         )
+
+
+def frames(folder: Path) -> None:
+    """Print the time of JavaScript in a frame of 40,962 vertices, while the view and the light are dragged."""
+    mesh = prt.Mesh.from_trimesh(trimesh.creation.icosphere(subdivisions=6))
+    transport = np.full((len(mesh.positions), 8, 9, 3), 0.1, np.float16)
+    prt.write_asset(asset_of(mesh, transport, 2, 4, 2), folder / "fine.h5")
+    drag = ["drag", [250, 200], [350, 260]]
+    steps = [["ready"], *[drag, ["rest"], [*drag, {"key": "Shift"}], ["rest"]] * 5, ["state"]]
+    for name, backend in BACKENDS.items():
+        *_, state = drive(node, make_site(folder / f"fine {name}", [folder / "fine.h5"], [SKY]), steps, **backend)
+        times = state["frames"][1:]  # the first one compiles the shader
+        print(f"page, {name}: a frame of {len(mesh.positions):,} vertices {np.median(times):.1f} ms of JavaScript")
 
 
 def pictures(asset: prt.Asset, folder: Path) -> dict[str, list[np.ndarray]]:
@@ -92,6 +107,7 @@ def main() -> None:
     asset = prt.read_asset(args.asset)
     with tempfile.TemporaryDirectory() as folder:
         page(args.asset, asset, Path(folder))
+        frames(Path(folder))
         made = pictures(asset, Path(folder))
     for name, key in (("godot", "Godot, float"), ("blender", "Blender, CYCLES")):
         if args.pictures and key in made:
