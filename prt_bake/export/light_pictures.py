@@ -22,7 +22,7 @@ from prt_bake.lights.skies.downsampled import shrink
 Array = NDArray[np.float64]
 
 MOST_ROWS = 1024
-"""Larger skies are downsampled: a page shows them as the background only."""
+"""Larger skies are downsampled, since a page projects them on a few harmonics."""
 _ROWS = 256
 _BLOCK = 64
 """Rows that are computed at once."""

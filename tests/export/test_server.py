@@ -79,6 +79,11 @@ def test_a_head_has_no_content_and_nothing_can_be_written(server: PageServer) ->
     connection.close()
 
 
+def test_other_machines_are_not_answered() -> None:
+    with PageServer({}) as closed:
+        assert closed.socket.getsockname()[0] == "127.0.0.1"
+
+
 def test_a_browser_that_leaves_is_no_error(server: PageServer, capsys: pytest.CaptureFixture[str]) -> None:
     server.files = {"large": bytes(1 << 25)}
     with socket.create_connection(("127.0.0.1", server.server_port)) as left:
