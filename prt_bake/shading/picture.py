@@ -25,6 +25,7 @@ from prt_bake.shading.picture_error import PictureError, view_error
 from prt_bake.shading.radiance_error import interpolate_over_faces, radiance_error
 from prt_bake.shading.sun_shading import SunTreatment
 from prt_bake.shading.surface_reflection import AssetReflection, reflects
+from prt_bake.shading.vertex_error import vertex_error
 from prt_bake.shading.vertices import Shading, corner_weights, light_coefficients, shade, shade_vertices
 from prt_bake.shading.visible_points import PixelMeans, VisiblePoints, find_visible_points, grid_offsets, row_blocks
 
@@ -167,6 +168,7 @@ def render_picture(
         _errors(
             asset,
             view_error(asset, light_weights, outgoing, shares, shading.radiance, sigma),
+            vertex_error(asset, shares, shading.radiance, sigma),
             _ratio(below, signal),
             _ratio(float((bake_error**2).sum()), signal),
             _ratio(float((noise**2).sum()), signal),
@@ -176,13 +178,19 @@ def render_picture(
 
 
 def _errors(
-    asset: Asset, views: float | None, subsurface: float, bake: float, noise: float, suns: float | None
+    asset: Asset,
+    views: float | None,
+    vertices: float | None,
+    subsurface: float,
+    bake: float,
+    noise: float,
+    suns: float | None,
 ) -> PictureError:
     """The parts relative to the picture; `subsurface` is the rms of light from under the surface over that of all."""
     known = asset.error
     network = None if known.network is None else subsurface * known.network.value
-    views = None if views is None else subsurface * views
-    return PictureError(network, bake or None, views, noise, known.path_traced, suns)
+    views, vertices = (None if part is None else subsurface * part for part in (views, vertices))
+    return PictureError(network, bake or None, views, vertices, noise, known.path_traced, suns)
 
 
 def _suns(light: AssetLight, lighting: Lighting, error: float) -> float | None:

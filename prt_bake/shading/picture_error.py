@@ -1,4 +1,4 @@
-"""The error of a picture in one figure: of the network, the bake, the view bins and the reflected rays together."""
+"""The error of a picture in one figure: of the network, the bake, view bins, vertices and reflected rays together."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -29,19 +29,21 @@ class PictureError:
             surface and all views.
         bake: of the coefficients compared with what was baked.
         views: of the interpolation between view bins.
+        vertices: of the interpolation between vertices.
         noise: of reflected rays; 0 without a reflection.
         path_traced: whether a scene was baked, without a network.
         suns: of suns beside harmonics (`prt_bake.shading.lobed_suns`); 0 without suns.
 
-    >>> print(PictureError(0.03, 0.021, 0.008, 0.0))
-    about 3.7% (network 3.0%, bake 2.1%, views 0.8%, noise 0.0%)
-    >>> print(PictureError(None, 0.021, 0.008, 0.0))
-    at least 2.2% (network unknown, bake 2.1%, views 0.8%, noise 0.0%)
+    >>> print(PictureError(0.03, 0.021, 0.008, 0.024, 0.0))
+    about 4.5% (network 3.0%, bake 2.1%, views 0.8%, vertices 2.4%, noise 0.0%)
+    >>> print(PictureError(None, 0.021, 0.008, 0.024, 0.0))
+    at least 3.3% (network unknown, bake 2.1%, views 0.8%, vertices 2.4%, noise 0.0%)
     """
 
     network: float | None
     bake: float | None
     views: float | None
+    vertices: float | None
     noise: float
     path_traced: bool = False
     suns: float | None = 0.0
@@ -69,7 +71,7 @@ class PictureError:
     @property
     def _parts(self) -> dict[str, float | None]:
         network = {} if self.path_traced else {"network": self.network}
-        parts = {**network, "bake": self.bake, "views": self.views, "noise": self.noise}
+        parts = {**network, "bake": self.bake, "views": self.views, "vertices": self.vertices, "noise": self.noise}
         return parts if self.suns == 0.0 else parts | {"suns": self.suns}
 
     def __str__(self) -> str:

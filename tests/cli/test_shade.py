@@ -42,7 +42,8 @@ def test_shade_makes_a_picture(prtbake: Run, tmp_path: Path, suffix: str) -> Non
     np.testing.assert_allclose(image[0, 0], 1.0, atol=1e-3)
     # The model of the command's folder was not trained, and its asset has two rings of view bins.
     stated = (
-        r"(?s).*\.(png|exr): error at least \d+\.\d% \(network unknown, bake \d+\.\d%, views unknown, noise 0\.0%\)\n.*"
+        r"(?s).*\.(png|exr): error at least \d+\.\d% \(network unknown, bake \d+\.\d%, views unknown, "
+        r"vertices \d+\.\d%, noise 0\.0%\)\n.*"
     )
     assert re.fullmatch(stated, outcome.out)
     if suffix == ".exr":

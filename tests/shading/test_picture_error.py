@@ -78,26 +78,43 @@ def test_a_picture_states_each_part_relative_to_all_of_its_light() -> None:
     assert 0.0 < shiny.errors.noise < 0.05
     assert shiny.relative_error == pytest.approx(np.hypot(shiny.errors.bake, shiny.errors.noise))
     assert shiny.errors.network / 0.05 == pytest.approx(shiny.errors.bake / dull.errors.bake, rel=0.01)
-    everything = np.array([shiny.errors.network, shiny.errors.bake, shiny.errors.views, shiny.errors.noise])
+    of = shiny.errors
+    everything = np.array([of.network, of.bake, of.views, of.vertices, of.noise])
     assert shiny.errors.total == pytest.approx(np.linalg.norm(everything))
 
 
 @pytest.mark.parametrize(
-    ("error", "text"),
+    ("parts", "text"),
     [
-        (PictureError(0.03, 0.04, 0.0, 0.0), "about 5.0% (network 3.0%, bake 4.0%, views 0.0%, noise 0.0%)"),
-        (PictureError(None, 0.04, 0.03, 0.0), "at least 5.0% (network unknown, bake 4.0%, views 3.0%, noise 0.0%)"),
-        (PictureError(0.03, None, None, 0.04), "at least 5.0% (network 3.0%, bake unknown, views unknown, noise 4.0%)"),
+        ((0.03, 0.04, 0.0, 0.12, 0.0), "about 13.0% (network 3.0%, bake 4.0%, views 0.0%, vertices 12.0%, noise 0.0%)"),
         (
-            PictureError(0.03, 0.04, 0.0, 0.0, suns=None),
-            "at least 5.0% (network 3.0%, bake 4.0%, views 0.0%, noise 0.0%, suns unknown)",
+            (None, 0.04, 0.03, 0.0, 0.0),
+            "at least 5.0% (network unknown, bake 4.0%, views 3.0%, vertices 0.0%, noise 0.0%)",
         ),
-        (PictureError(None, None, 0.03, 0.0), "unknown (network unknown, bake unknown, views 3.0%, noise 0.0%)"),
-        (PictureError(None, 0.04, 0.03, 0.0, True), "about 5.0% (path traced, bake 4.0%, views 3.0%, noise 0.0%)"),
-        (PictureError(None, None, 0.03, 0.0, True), "unknown (path traced, bake unknown, views 3.0%, noise 0.0%)"),
+        (
+            (0.03, None, None, None, 0.04),
+            "at least 5.0% (network 3.0%, bake unknown, views unknown, vertices unknown, noise 4.0%)",
+        ),
+        (
+            (0.03, 0.04, 0.0, 0.0, 0.0, False, None),
+            "at least 5.0% (network 3.0%, bake 4.0%, views 0.0%, vertices 0.0%, noise 0.0%, suns unknown)",
+        ),
+        (
+            (None, None, 0.03, 0.0, 0.0),
+            "unknown (network unknown, bake unknown, views 3.0%, vertices 0.0%, noise 0.0%)",
+        ),
+        (
+            (None, 0.04, 0.03, 0.0, 0.0, True),
+            "about 5.0% (path traced, bake 4.0%, views 3.0%, vertices 0.0%, noise 0.0%)",
+        ),
+        (
+            (None, None, 0.03, 0.0, 0.0, True),
+            "unknown (path traced, bake unknown, views 3.0%, vertices 0.0%, noise 0.0%)",
+        ),
     ],
 )
-def test_unknown_parts_are_named(error: PictureError, text: str) -> None:
+def test_unknown_parts_are_named(parts: tuple, text: str) -> None:
+    error = PictureError(*parts)
     assert str(error) == text
     stated = error.as_json()
     assert stated["complete"] == ("unknown" not in text)
