@@ -10,6 +10,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from formats.arguments import numbers
 from formats.errors import QueryError
 from formats.mesh import Mesh, refuse_inside_out, refuse_two_sides
 
@@ -85,7 +86,7 @@ def transport_kind(transport: object) -> TransportKind:
         return "evaluate"
     raise QueryError(
         f"{type(transport).__name__} cannot be baked: expected a method evaluate(incident, positions, outgoing), "
-        f"evaluate_block or estimate_coefficients"
+        f"evaluate_block or estimate_coefficients, or a function of (incident, positions, outgoing)"
     )
 
 
@@ -105,6 +106,11 @@ def transport_property(transport: Any, name: str, default: Any) -> Any:
     """A property of the transport, such as its index of refraction, from its metadata or its attributes."""
     metadata = getattr(transport, "metadata", None) or {}
     return metadata.get(name, getattr(transport, name, default))
+
+
+def label(transport: Any) -> str:
+    """What messages call a transport: its attribute `label`, such as its file, or its class."""
+    return str(getattr(transport, "label", type(transport).__name__))
 
 
 def refuse_foreign(transport: Any, mesh: Mesh) -> None:
@@ -141,19 +147,19 @@ def prepared(transport: Any, precision: str, device: str) -> Any:
         return transport.prepared(precision=precision, device=device)
     if precision != "float32" or device not in ("cpu", getattr(transport, "device", "cpu")):
         raise QueryError(
-            f"{type(transport).__name__} can only be baked with precision float32 on the cpu, "
+            f"{label(transport)} can only be baked with precision float32 on the cpu, "
             f"found {precision} on {device}; those are for networks"
         )
     return transport
 
 
 def as_radiance(result: Any, expected: tuple[int, ...], method: str) -> NDArray[Any]:
-    """A transport's result as a NumPy array; raises QueryError if its shape is not the expected one."""
-    if hasattr(result, "detach"):
-        result = result.detach().cpu()
-        result = (result if result.element_size() > 2 else result.float()).numpy()
-    radiance = np.asarray(result)
-    if radiance.shape != expected or radiance.dtype.kind not in "fiu":
+    """A transport's result, of any array library, as a NumPy array.
+
+    Raises QueryError if it does not hold real numbers, or not in the expected shape.
+    """
+    radiance = numbers(f"the transport's {method}", result)
+    if radiance.shape != expected:
         raise QueryError(
             f"the transport's {method} returned {radiance.dtype} of shape {radiance.shape}, "
             f"expected real numbers of shape {expected}"

@@ -106,12 +106,12 @@ def numbers(name: str, value: Any, kinds: str = "fiu") -> NDArray[Any]:
         raise QueryError(
             f"{name}: expected numbers, found a masked array without {masked} of them; give its .filled(number)"
         )
-    if hasattr(value, "detach"):
-        value = value.detach().cpu()
-        value = (value.float() if value.element_size() <= 2 and value.is_floating_point() else value).numpy()
     try:
+        if hasattr(value, "detach"):
+            value = value.detach().cpu()
+            value = (value.float() if value.element_size() <= 2 and value.is_floating_point() else value).numpy()
         array = np.asarray(value)
-    except (TypeError, ValueError) as fault:
+    except (TypeError, ValueError, RuntimeError) as fault:
         raise QueryError(f"{name}: expected numbers in an array of one shape, found {described(value)}") from fault
     if array.dtype.kind not in kinds:
         found = f"{array.dtype} values" if array.ndim and array.dtype.kind != "O" else described(value)

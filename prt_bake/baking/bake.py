@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bakers.plain_function import as_transport
 from bakers.transport import on_mesh, prepared, refuse_foreign, transport_kind, up_to
 from bakers.workers import Threads, Workers
 from formats.asset import Asset
@@ -76,9 +77,9 @@ def bake(
     """Bakes `transport` at every vertex of `mesh` and at rings × sectors view bins.
 
     Args:
-        transport: a network, a scene, which is path traced, or an object that offers evaluate, evaluate_block or
-            estimate_coefficients (`bakers.transport`). It gets NumPy arrays and may return NumPy arrays or torch
-            tensors.
+        transport: a network, a scene, which is path traced, a function f(incident [N,D,3], positions [N,3],
+            outgoing [N,3]) → Ŝ [N,D,3], or an object that offers evaluate, evaluate_block or estimate_coefficients
+            (`bakers.transport`). It gets NumPy arrays and may return NumPy arrays or torch tensors.
         mesh: in the transport's object space; a trimesh mesh too.
         degree: of the spherical harmonics, K = (degree + 1)².
         rings, sectors: view bins of the hemisphere about each vertex normal.
@@ -129,13 +130,12 @@ def bake(
         A matte sphere. Under constant light it sends out as much radiance as it receives:
 
         >>> import numpy as np, prt_bake as prt, trimesh
-        >>> class Matte:
-        ...     def evaluate(self, incident, positions, outgoing):
-        ...         cosine = np.maximum(np.einsum("ndi,ni->nd", incident, positions), 0.0)
-        ...         return np.repeat(cosine[..., None] / np.pi, 3, axis=-1)
+        >>> def matte(incident, positions, outgoing):
+        ...     cosine = np.maximum(np.einsum("ndi,ni->nd", incident, positions), 0.0)
+        ...     return np.repeat(cosine[..., None] / np.pi, 3, axis=-1)
         >>> sphere = trimesh.creation.icosphere(subdivisions=0)
         >>> mesh = prt.Mesh(sphere.vertices, sphere.faces.astype(np.int32), sphere.vertex_normals)
-        >>> asset = prt.bake(Matte(), mesh, degree=2, rings=1, sectors=4, samples=256)
+        >>> asset = prt.bake(matte, mesh, degree=2, rings=1, sectors=4, samples=256)
         >>> asset.coefficients.shape
         (12, 4, 9, 3)
         >>> constant_light = np.zeros((9, 3))
@@ -149,6 +149,7 @@ def bake(
     if isinstance(transport, Scene):
         require_walks_on(device)
         transport = PathTraced(transport, "cpu" if device == "cpu" else "cuda")
+    transport = as_transport(transport)
     refuse_unusable(
         mesh, degree=degree, rings=rings, sectors=sectors, samples=samples, error=error, minutes=minutes, seed=seed,
         workers=workers, leave_out=leave_out, lobes=lobes, directions=directions, precision=precision, storage=storage,

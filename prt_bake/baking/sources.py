@@ -1,4 +1,4 @@
-"""Files that can be baked: networks (`.pt`, `.safetensors`), TorchScript functions (`.pt`) and scenes (`.toml`)."""
+"""Files that can be baked: networks, TorchScript and ONNX functions, and scenes."""
 
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,8 @@ from prt_bake.tracer.gpu.availability import require_walks_on
 def open_source(path: str | Path, mesh: Mesh, device: str = "cpu", convention: str | None = None) -> Any:
     """The transport in a file, to be baked on `mesh`.
 
-    convention: meaning of the seven inputs of a TorchScript function (`prt_bake.network.torchscript`), in the bounding
-    box of the mesh; without it a `.pt` file is a network that `prt_bake.train` wrote.
+    convention: meaning of the seven inputs of a TorchScript or an ONNX function (`prt_bake.network.functions`), in the
+    bounding box of the mesh; without it a `.pt` file is a network that `prt_bake.train` wrote.
 
     Raises:
         FormatError: an unknown suffix.
@@ -26,13 +26,15 @@ def open_source(path: str | Path, mesh: Mesh, device: str = "cpu", convention: s
         require_walks_on(device)
         return PathTraced(read_scene(path), "cpu" if device == "cpu" else "cuda")
     require_device(device)
-    if suffix not in (".pt", ".safetensors"):
-        raise FormatError(f"{path}: expected a model (.pt, .safetensors) or a scene (.toml), found {suffix!r}")
+    if suffix not in (".pt", ".safetensors", ".onnx"):
+        raise FormatError(
+            f"{path}: expected a model (.pt, .safetensors), a function (.onnx) or a scene (.toml), found {suffix!r}"
+        )
     if convention is not None:
-        from prt_bake.network.torchscript import load_torchscript
+        from prt_bake.network.functions import load_function
 
         low, high = mesh.bounds
-        return load_torchscript(path, convention, low, float((high - low).max()))
+        return load_function(path, convention, low, float((high - low).max()))
     from prt_bake.network.bssrdf import load_model
 
     return load_model(path, device)
@@ -48,7 +50,7 @@ def own_mesh(path: str | Path, convention: str | None = None) -> Path:
     if source.suffix.lower() == ".toml":
         return read_scene(source).mesh_path
     if convention is not None:
-        raise QueryError(f"{path}: a TorchScript function does not know its mesh; give the mesh after it")
+        raise QueryError(f"{path}: a function does not know its mesh; give the mesh after it")
     from prt_bake.network.bssrdf import load_model
 
     metadata = load_model(source).metadata
@@ -79,5 +81,8 @@ def require_device(device: str) -> None:
 
 
 def origin(path: str | Path) -> dict[str, str]:
-    """Name and SHA-256 of a source file, for provenance."""
-    return {"source": Path(path).name, "source_sha256": sha256(path)}
+    """Name and SHA-256 of a source file, for provenance; also the SHA-256 of the weights beside NAME.onnx."""
+    weights = Path(f"{path}.data")
+    beside = Path(path).suffix.lower() == ".onnx" and weights.is_file()
+    hashes = {"source_sha256": sha256(path)} | ({"source_data_sha256": sha256(weights)} if beside else {})
+    return {"source": Path(path).name, **hashes}

@@ -31,7 +31,12 @@ _BYTES_OF_A_COEFFICIENT = 8
 @naming_mesh
 def bake(
     context: typer.Context,
-    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="model.pt (neural) or scene.toml (path traced).")],
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SOURCE", help="model.pt (neural), scene.toml (path traced), or a function (.onnx, TorchScript)."
+        ),
+    ],
     mesh: Annotated[
         Path | None,
         typer.Argument(metavar="MESH", help="Mesh whose vertices are baked; by default that of the source's scene."),
@@ -92,7 +97,7 @@ def bake(
     convention: Annotated[
         str | None,
         typer.Option(
-            help="The 7 inputs of a TorchScript SOURCE, such as 'incident, position, outgoing; angles=unit'.",
+            help="The 7 inputs of an ONNX or TorchScript SOURCE, such as 'incident, position, outgoing; angles=unit'.",
             show_default=False,
         ),
     ] = None,

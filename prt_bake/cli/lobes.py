@@ -16,7 +16,10 @@ from prt_bake.cli.shared.progress import reporting
 
 def lobes(
     source: Annotated[
-        Path, typer.Argument(metavar="MODEL", help="Model of the same object: a network, or a TorchScript function.")
+        Path,
+        typer.Argument(
+            metavar="MODEL", help="Model of the same object: a network, or an ONNX or TorchScript function."
+        ),
     ],
     asset: Annotated[Path, typer.Argument(metavar="ASSET", help="Asset that `prtbake bake` wrote.")],
     out: Annotated[
@@ -29,7 +32,7 @@ def lobes(
     workers: Annotated[int, typer.Option(min=1, max=1024, help="Threads.")] = 1,
     convention: Annotated[
         str | None,
-        typer.Option(help="The 7 inputs of a TorchScript MODEL, as for `prtbake bake`.", show_default=False),
+        typer.Option(help="The 7 inputs of an ONNX or TorchScript MODEL, as for `prtbake bake`.", show_default=False),
     ] = None,
     device: Device = "cpu",
     force: Force = False,

@@ -71,15 +71,17 @@ def model(name: str, value: Any) -> Any:
 
 
 def transport(name: str, value: Any) -> Any:
-    """An object that evaluates Ŝ or estimates its coefficients."""
+    """An object that evaluates Ŝ or estimates its coefficients, or a function that evaluates Ŝ."""
     if isinstance(value, type):
         raise QueryError(f"{name}: expected an object, found the class {value.__name__}; give {value.__name__}(…)")
     if hasattr(value, "evaluate") or hasattr(value, "evaluate_block") or hasattr(value, "estimate_coefficients"):
         return value
     refuse_path(name, value, "prt.load_model")
+    if callable(value):
+        return value
     raise QueryError(
-        f"{name}: expected what prt.load_model(path) returns, or an object with evaluate(incident, positions, "
-        f"outgoing), found {arguments.described(value)}"
+        f"{name}: expected what prt.load_model(path) returns, an object with evaluate(incident, positions, outgoing), "
+        f"or a function of these, found {arguments.described(value)}"
     )
 
 

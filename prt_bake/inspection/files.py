@@ -17,7 +17,7 @@ SUFFIXES = {
     "mesh": mesh.READABLE,
     "sky": image.READABLE,
     "scene": (".toml",),
-    "model": (".pt", ".safetensors"),
+    "model": (".pt", ".safetensors", ".onnx"),
     "asset": (".h5", ".hdf5"),
 }
 CHECKPOINT = ".train.pt"

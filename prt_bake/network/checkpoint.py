@@ -20,6 +20,10 @@ HEAD = "prtbake"
 _FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 _MAX_RATIO = 20
 """Most bytes that a `.pt` unpacks to, per byte of the file; torch stores the entries uncompressed."""
+_OF_A_FUNCTION = (
+    "which only `prtbake bake` and `prtbake lobes` take; describe its 7 inputs there with --convention, "
+    'for example --convention "incident, position, outgoing"'
+)
 
 
 def write_checkpoint(path: str | Path, head: str, tensors: dict[str, Tensor]) -> None:
@@ -43,6 +47,8 @@ def write_checkpoint(path: str | Path, head: str, tensors: dict[str, Tensor]) ->
 def read_checkpoint(path: str | Path) -> tuple[str, dict[str, Tensor]]:
     """The JSON text and the tensors of a checkpoint; raises ModelError that says what else the file is."""
     path = Path(path)
+    if path.suffix.lower() == ".onnx" and path.is_file():
+        raise ModelError(f"{path}: an ONNX function, {_OF_A_FUNCTION}")
     suffix = _suffix(path)
     if not path.is_file():
         raise ModelError(f"{path}: no such file; expected a model (.pt or .safetensors)")
@@ -122,10 +128,7 @@ def _is_plain(tensor: Tensor) -> bool:
 
 def _diagnosis(fault: Exception) -> str:
     if "TorchScript" in str(fault):
-        return (
-            "a TorchScript function, which only `prtbake bake` takes; describe its 7 inputs there with --convention, "
-            'for example --convention "incident, position, outgoing"'
-        )
+        return f"a TorchScript function, {_OF_A_FUNCTION}"
     if isinstance(fault, pickle.UnpicklingError):
         return "is no file of plain weights and was refused; none of its code ran; expected a model written by prtbake"
     if isinstance(fault, OSError | MemoryError):

@@ -13,6 +13,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
+from bakers.plain_function import as_transport
 from bakers.transport import on_mesh, refuse_foreign
 from formats.errors import QueryError
 from formats.mesh import Mesh
@@ -74,7 +75,8 @@ def render_network(
     """Render `network` on its mesh under lights, a lat-long sky [H,W,3] or a `Lighting`, in passes.
 
     Args:
-        network: a `NeuralBSSRDF`, or any object with evaluate(incident[N,D,3], positions[N,3], outgoing[N,3]).
+        network: a `NeuralBSSRDF`, or any object with evaluate(incident[N,D,3], positions[N,3], outgoing[N,3]), or a
+            function of these.
         mesh: the object of the model.
         light: as in `prt_bake.render_scene`; `up` overrides the network's up axis for a sky.
         camera: the view.
@@ -108,6 +110,7 @@ def render_network(
     criteria = StopCriteria(spp, error, minutes, stop)
     if resume:
         required_checkpoint(checkpoint)
+    network = as_transport(network)
     refuse_foreign(network, mesh)
     bound = on_mesh(network, mesh)
     importance = importance or own_lobes(bound)

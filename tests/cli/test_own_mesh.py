@@ -74,5 +74,5 @@ def test_a_scene_that_is_missing_or_changed_is_not_taken(moved: Path) -> None:
     save(moved / "plain.pt")
     with pytest.raises(QueryError, match="the model does not know its scene's mesh; give the mesh"):
         own_mesh(moved / "plain.pt")
-    with pytest.raises(QueryError, match="a TorchScript function does not know its mesh; give the mesh"):
+    with pytest.raises(QueryError, match="a function does not know its mesh; give the mesh"):
         own_mesh(moved / "plain.pt", "incident, position, outgoing; angles=unit")

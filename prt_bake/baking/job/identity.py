@@ -20,7 +20,7 @@ def identity_of(transport: Any, mesh: Mesh, provenance: dict[str, Any]) -> tuple
     or the values of the transport at a few vertices.
     """
     if "source_sha256" in provenance:
-        return str(provenance["source_sha256"]), 0
+        return str(provenance["source_sha256"]) + str(provenance.get("source_data_sha256", "")), 0
     digest = hashlib.sha256(type(transport).__name__.encode())
     network = getattr(transport, "network", transport)
     if hasattr(network, "state_dict"):

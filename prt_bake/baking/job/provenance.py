@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bakers.transport import transport_property
+from bakers.transport import label, transport_property
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake.baking.job.work import Work
@@ -55,4 +55,4 @@ def nothing_done() -> QueryError:
 
 def not_finite(transport: Any, where: str) -> QueryError:
     """The error to raise if a transport returned no finite value `where`, such as "48 view bins of a pilot"."""
-    return QueryError(f"{type(transport).__name__}: expected finite values, found NaN or infinite ones at all {where}")
+    return QueryError(f"{label(transport)}: expected finite values, found NaN or infinite ones at all {where}")

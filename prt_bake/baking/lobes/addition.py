@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from bakers.plain_function import as_transport
 from bakers.transport import on_mesh, prepared, refuse_foreign, transport_kind, up_to
 from bakers.workers import Threads
 from formats.asset import Asset
@@ -33,7 +34,7 @@ def add_lobes(
 
     Args:
         asset: of the same object; also a path-traced bake, whose object the transport is a network of.
-        transport: offers evaluate or evaluate_block (`bakers.transport`).
+        transport: offers evaluate or evaluate_block (`bakers.transport`), or is a function as in `prt_bake.bake`.
         most: most lobes in a view; as many are found as gain something.
         workers: threads.
         device: where a network is evaluated ("cpu", "cuda").
@@ -48,6 +49,7 @@ def add_lobes(
     """
     if not 1 <= most <= MOST_LOBES:
         raise QueryError(f"most: expected 1 to {MOST_LOBES} lobes in a view, found {most}")
+    transport = as_transport(transport)
     if transport_kind(transport) == "coefficients":
         raise QueryError(
             "transport: expected one that evaluates Ŝ, found one that estimates coefficients only; give a network of "

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from formats.errors import ModelError, QueryError
-from prt_bake.network.torchscript import Convention, load_torchscript
+from prt_bake.network.functions import Convention, load_function
 
 
 class FirstThree(torch.nn.Module):
@@ -43,14 +43,14 @@ def script(module: torch.nn.Module, tmp_path: Path) -> Path:
     ],
 )
 def test_the_seven_inputs_follow_the_convention(convention: str, rows: list[float], tmp_path: Path) -> None:
-    transport = load_torchscript(script(FirstThree(), tmp_path), convention, (1.0, 1.0, 1.0), 2.0)
+    transport = load_function(script(FirstThree(), tmp_path), convention, (1.0, 1.0, 1.0), 2.0)
     answer = transport.evaluate([[0.0, 1.0, 0.0]], [[1.5, 2.0, 2.5]], [[0.0, -1.0, 0.0]])
     expected = np.array(rows[0:3]) + 10 * np.array(rows[3:6]) + 100 * rows[6]
     np.testing.assert_allclose(answer[0, 0], expected, rtol=1e-6)
 
 
 def test_separate_and_shared_directions_agree(tmp_path: Path) -> None:
-    transport = load_torchscript(script(FirstThree(), tmp_path))
+    transport = load_function(script(FirstThree(), tmp_path))
     light, positions = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0]]), np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
     separate = np.stack([light, light])
     np.testing.assert_array_equal(
@@ -61,15 +61,15 @@ def test_separate_and_shared_directions_agree(tmp_path: Path) -> None:
 @pytest.mark.parametrize("module", [Wide(), Narrow()])
 def test_functions_of_another_shape_are_refused(module: torch.nn.Module, tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"script\.pt"):
-        load_torchscript(script(module, tmp_path))
+        load_function(script(module, tmp_path))
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="no such file"):
-        load_torchscript(tmp_path / "none.pt")
+        load_function(tmp_path / "none.pt")
     (tmp_path / "words.pt").write_text("words")
     with pytest.raises(ModelError, match=r"words\.pt: not a TorchScript file"):
-        load_torchscript(tmp_path / "words.pt")
+        load_function(tmp_path / "words.pt")
 
 
 @pytest.mark.parametrize(
