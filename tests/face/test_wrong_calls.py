@@ -67,7 +67,7 @@ WRONG: dict[str, tuple[Callable[[], Any], str]] = {
     "mesh trimesh scene": (lambda: bake(mesh=trimesh.Scene(BALL)), "found a trimesh Scene; give one mesh"),
     "transport none": (lambda: bake(transport=None), "transport: expected what prt.load_model.*, found None"),
     "transport swapped": (lambda: prt.bake(MESH, NETWORK, **FEW), "transport: .*, found a mesh"),
-    "transport module": (lambda: bake(transport=torch.nn.Linear(7, 3)), "transport: .*, found a Linear"),
+    "transport module": (lambda: bake(transport=torch.nn.Linear(7, 3)), "transport: .*, found Linear"),
     "transport path": (lambda: bake(transport=Path("a.pt")), r"prt.load_model\(path\) returns, found the path a.pt"),
     "degree float": (lambda: bake(degree=2.0), "degree must be a whole number, found 2.0"),
     "degree text": (lambda: bake(degree="2"), "degree must be a whole number, found the text '2'"),

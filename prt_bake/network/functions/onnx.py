@@ -7,6 +7,7 @@ multilayer perceptron below one another, [3 · rows, 1].
 
 import re
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +37,7 @@ def open_onnx(path: str | Path) -> Callable[[NDArray[np.float64]], Any]:
         PrtbakeError: onnxruntime is not installed.
     """
     require(str(path), "onnxruntime")
-    import onnxruntime
-
+    onnxruntime: Any = import_module("onnxruntime")
     options = onnxruntime.SessionOptions()
     options.log_severity_level = _SILENT
     # Each worker of a bake calls from its own thread, as of torch.
