@@ -111,7 +111,8 @@ def test_a_scene_is_path_traced(prtbake: Run, tmp_path: Path) -> None:
     assert 0.2 < furnace.mean() < 1.0
 
 
-def test_a_torchscript_function_is_baked_by_its_convention(prtbake: Run, tmp_path: Path) -> None:
+@pytest.mark.parametrize("suffix", [".pt", ".onnx"])
+def test_a_function_of_another_program_is_baked_by_its_convention(prtbake: Run, tmp_path: Path, suffix: str) -> None:
     import torch
 
     class Constant(torch.nn.Module):
@@ -120,12 +121,23 @@ def test_a_torchscript_function_is_baked_by_its_convention(prtbake: Run, tmp_pat
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        torch.jit.save(torch.jit.trace(Constant(), torch.zeros(2, 7)), tmp_path / "other.pt")
+        if suffix == ".onnx":
+            axes = {"dynamic_axes": {"x": {0: "n"}}, "input_names": ["x"]}
+            torch.onnx.export(Constant(), (torch.zeros(2, 7),), tmp_path / "other.onnx", dynamo=False, **axes)
+        else:
+            torch.jit.save(torch.jit.trace(Constant(), torch.zeros(2, 7)), tmp_path / "other.pt")
+    other = tmp_path / f"other{suffix}"
     options = ["-o", tmp_path / "a.h5", "--rings", 1, "--sectors", 2, "--convention", "incident, position, outgoing"]
-    assert prtbake("bake", tmp_path / "other.pt", "sphere.ply", *options).code == 0
+    assert prtbake("bake", other, "sphere.ply", *options).code == 0
     coefficients = np.asarray(read_asset(tmp_path / "a.h5").coefficients, np.float64)
     np.testing.assert_allclose(coefficients[:, :, 0], 0.25 * np.sqrt(4 * np.pi), rtol=1e-3)
     assert np.abs(coefficients[:, :, 1:]).max() < 1e-3
+    outcome = prtbake("lobes", other, tmp_path / "a.h5", *options[-2:])
+    assert outcome.code == 0
+    assert (tmp_path / "a.lobes.h5").is_file()
+    undescribed = prtbake("bake", other, "sphere.ply", "-o", tmp_path / "b.h5")
+    assert undescribed.code == 1
+    assert "describe its 7 inputs there with --convention" in undescribed.err
 
 
 def test_a_dry_run_writes_nothing(prtbake: Run, tmp_path: Path) -> None:

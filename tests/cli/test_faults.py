@@ -104,6 +104,7 @@ BAD: dict[str, tuple[str, Write]] = {
     "truncated model": ("model.pt", _truncated("model.pt")),
     "not a model": ("model.pt", _text),
     "hostile model": ("model.pt", _hostile),
+    "not an onnx": ("function.onnx", _text),
     "not a safetensors": ("model.safetensors", _text),
     "truncated asset": ("asset.h5", _truncated("asset.h5")),
     "not an asset": ("asset.h5", _text),
@@ -124,6 +125,7 @@ COMMAND_OF_SUFFIX = {
     ".exr": ["shade", "asset.h5", "--light", "BAD", "-o", "OLD"],
     ".hdr": ["shade", "asset.h5", "--light", "BAD", "-o", "OLD"],
     ".pt": ["bake", "BAD", "sphere.ply", "-o", "OLD", "--force"],
+    ".onnx": ["bake", "BAD", "sphere.ply", "-o", "OLD", "--force", "--convention", "incident, position, outgoing"],
     ".safetensors": ["bake", "BAD", "sphere.ply", "-o", "OLD", "--force"],
     ".h5": ["shade", "BAD", "--light", "sky.exr", "-o", "OLD"],
 }

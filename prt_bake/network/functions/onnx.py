@@ -92,7 +92,7 @@ class _OnnxFunction:
         return found
 
     def _only_output(self) -> str:
-        names = [each.name for each in self._session.get_outputs()]
+        names: list[str] = [each.name for each in self._session.get_outputs()]
         rows = self._fixed or _ROWS
         found = [getattr(value, "shape", None) for value in self._run(names, np.full((rows, 7), 0.5))]
         fitting = [name for name, shape in zip(names, found, strict=True) if shape in ((rows, 3), (3 * rows, 1))]
