@@ -85,8 +85,8 @@ def load_function(
 
     Example:
         >>> from prt_bake.network.functions import load_function
-        >>> function = load_function("function.onnx", "incident, position, outgoing; angles=unit")  # doctest: +SKIP
-        >>> function.evaluate([[0, 0, 1]], [[0.1, 0.2, 0.3]], [[0, 0, 1]]).shape  # doctest: +SKIP
+        >>> function = load_function("function.onnx", "incident, position, outgoing; angles=unit")
+        >>> function.evaluate([[0, 0, 1]], [[0.1, 0.2, 0.3]], [[0, 0, 1]]).shape
         (1, 1, 3)
     """
     Convention.parse(convention)
