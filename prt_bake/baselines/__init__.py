@@ -8,5 +8,10 @@ a baseline by its name; `neumip.py` has the first of them.
 import lazy_loader
 
 __getattr__, __dir__, __all__ = lazy_loader.attach(
-    __name__, submod_attrs={"door": ["BASELINES", "train_baseline"], "neumip": ["NeuMIP", "NeuMIPSettings"]}
+    __name__,
+    submod_attrs={
+        "door": ["BASELINES", "train_baseline"],
+        "neumip": ["NeuMIP"],
+        "neumip_settings": ["NeuMIPSettings"],
+    },
 )

@@ -13,6 +13,7 @@ from prt_bake.trainer.run import Part, Progress
 
 BASELINES = {
     "neumip": ("prt_bake.baselines.neumip_training", "train_neumip"),
+    "neumip-log": ("prt_bake.baselines.neumip_training", "train_neumip_log"),
 }
 """Name → module and function (`TrainBaseline`) that trains it."""
 

@@ -250,10 +250,10 @@ class Learner:
             for mean, weights in zip(self.model.parameters(), self.network.parameters(), strict=True):
                 mean.lerp_(weights, share)
 
-    def _share_of_average(self, step: int) -> float:
-        """The share with which step s of t has a weight proportional to about (s/t)^γ in the average."""
+    def _share_of_average(self, step: Any) -> Any:
+        """The share with which step s of t, a number or a tensor, has a weight of about (s/t)^γ in the average."""
         gamma = 1.0 / self.settings.average_length - 2.0
-        return float(1.0 - (1.0 - 1.0 / step) ** (gamma + 1.0))
+        return 1.0 - (1.0 - 1.0 / step) ** (gamma + 1.0)
 
     def _error(self, source: RowSource, batch: Batch, losses: NDArray[np.float32], value: float) -> str:
         """The message about a loss that is not finite: the query and the ray that caused it."""
