@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from formats.errors import ModelError, QueryError
 from formats.mesh import Mesh, as_mesh
 from prt_bake.baselines.neumip_settings import NeuMIPSettings
-from prt_bake.baselines.texture_space import TextureSpace
+from prt_bake.baselines.texture_space import TextureSpace, numbered_corners, uv_areas
 from prt_bake.geometry.surface import Location, Surface
 from prt_bake.network.checkpoint import check_tensors
 from prt_bake.network.lobes import Lobes
@@ -55,10 +55,7 @@ class NeuMIP(TrainableModel):
         output_scale: float = 1.0,
         metadata: dict[str, Any] | None = None,
     ) -> None:
-        """A freshly initialised model of the object `mesh`, with the texture space of each level.
-
-        metadata is plain JSON; its "normals", "face" or "vertex", says which normals the tangent frame has.
-        """
+        """A freshly initialised model of the object `mesh`, with the texture space of each level; metadata is JSON."""
         super().__init__()
         self.settings: NeuMIPSettings = settings
         self.output_scale, self.metadata = float(output_scale), dict(metadata or {})
@@ -83,7 +80,10 @@ class NeuMIP(TrainableModel):
     def encode_views(self, positions: Tensor, outgoing: Tensor) -> TextureView:
         """What views [N,3] read. Raises QueryError for positions off the surface."""
         x, eye = (tensor.detach().double().cpu().numpy() for tensor in (positions, outgoing))
+        threads = torch.get_num_threads()
         location, _cosines = self.surface.choose(x, eye)
+        # Numba and torch share OpenMP's number of threads, which numba has now set to all cores.
+        torch.set_num_threads(threads)
         taps = [space.taps(location.faces, location.barycentric) for space in self.spaces]
         rows = np.concatenate([tap.rows + start for tap, start in zip(taps, self._starts[:-1], strict=True)], axis=1)
         weights = np.concatenate([tap.weights for tap in taps], axis=1).astype(np.float32)
@@ -93,13 +93,12 @@ class NeuMIP(TrainableModel):
 
     def _frames(self, location: Location) -> NDArray[np.float64]:
         """Orthonormal frames [N,3,3] of tangent, bitangent and normal; the tangent is the direction of u."""
-        mesh = self.surface.mesh
-        normal = np.asarray(mesh.face_normals)[location.faces]
-        if self.metadata.get("normals") == "vertex":
-            u, v = location.barycentric[:, :1], location.barycentric[:, 1:]
-            corners = mesh.normals[np.asarray(mesh.faces)[location.faces]]
-            normal = _unit((1.0 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2], normal)
-        tangent = self._tangents[location.faces]
+        u, v = location.barycentric[:, :1], location.barycentric[:, 1:]
+        normal, tangent = (
+            (1.0 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
+            for corners in (self.surface.mesh.corner_normals[location.faces], self._tangents[location.faces])
+        )
+        normal = _unit(normal, np.asarray(self.surface.mesh.face_normals)[location.faces])
         tangent = _unit(tangent - np.sum(tangent * normal, axis=1, keepdims=True) * normal, _any_tangent(normal))
         return np.stack([tangent, np.cross(normal, tangent), normal], axis=1)
 
@@ -220,12 +219,16 @@ def _array(tensors: dict[str, Tensor], name: str) -> NDArray[np.float64]:
 
 
 def _tangents(mesh: Mesh, corner_uv: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The direction of u on each face [F,3]; any length, 0 for a face without area in texture coordinates."""
-    corners = mesh.positions[np.asarray(mesh.faces)]
+    """The direction of u at the corners of each face [F,3,3], the mean over the faces of a chart that meet there."""
+    faces = np.asarray(mesh.faces, np.int64)
+    corners = mesh.positions[faces]
     edges, steps = corners[:, 1:] - corners[:, :1], corner_uv[:, 1:] - corner_uv[:, :1]
     along = steps[:, 1, 1:] * edges[:, 0] - steps[:, 0, 1:] * edges[:, 1]
-    area = steps[:, :1, 0] * steps[:, 1, 1:] - steps[:, :1, 1] * steps[:, 1, :1]
-    return _unit(along * np.sign(area), np.zeros_like(along))
+    along = _unit(along * np.sign(uv_areas(corner_uv))[:, None], np.zeros_like(along))
+    numbers = numbered_corners(corner_uv, faces)
+    sums = np.zeros((int(numbers.max()) + 1, 3))
+    np.add.at(sums, numbers, (mesh.face_areas[:, None] * along)[:, None])
+    return sums[numbers]
 
 
 def _any_tangent(normal: NDArray[np.float64]) -> NDArray[np.float64]:

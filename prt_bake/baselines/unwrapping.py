@@ -26,7 +26,7 @@ def texture_coordinates(mesh: Mesh, size: int, say: Callable[[str], None]) -> Ar
     """Coordinates [F,3,2] of the faces' corners, in the unit square, for a texture of size² texels.
 
     They are the mesh's own, or new ones of xatlas, which `say` is told with the reason. Raises MeshError if new ones
-    are needed and xatlas is not installed, or if `size` is too small for the object's charts.
+    are needed and xatlas is not installed.
     """
     faces = np.asarray(mesh.faces, np.int64)
     reason = "it has no texture coordinates"
@@ -38,10 +38,7 @@ def texture_coordinates(mesh: Mesh, size: int, say: Callable[[str], None]) -> Ar
     if missing := missing_sentence("xatlas"):
         raise MeshError(f"mesh: {reason}, and its places need texels of their own; to unwrap it, {missing}")
     say(f"mesh: {reason}; it is unwrapped by xatlas, and the model keeps the new coordinates")
-    unwrapped = unwrap(mesh, size)
-    if fault := fault_of(unwrapped, faces, size):
-        raise MeshError(f"mesh: unwrapped onto {size} x {size} texels: {fault}; take more texels, or simplify the mesh")
-    return unwrapped
+    return unwrap(mesh, size)
 
 
 def unwrap(mesh: Mesh, size: int) -> Array:

@@ -26,7 +26,7 @@ def ball_of_charts(n: int = 6) -> Mesh:
         points.append(place)
         faces.append(side + number * len(u))
         inside = _GAP + (1.0 - 2.0 * _GAP) * (np.stack([u, v], axis=1) + 1.0) / 2.0
-        uv.append((inside + [number % 3, number // 3]) / 3.0)
+        uv.append((inside + np.array([number % 3, number // 3])) / 3.0)
     cells = np.concatenate(points)
     unique, index = np.unique(np.round(cells, 9), axis=0, return_inverse=True)
     positions = unique / np.linalg.norm(unique, axis=1, keepdims=True)
