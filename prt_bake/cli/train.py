@@ -49,7 +49,7 @@ def train(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Train a model that the paper compares itself with instead of the network: neumip.",
+            help="Train a model that the paper compares itself with instead of the network: neumip or neumip-log.",
             show_default=False,
         ),
     ] = None,

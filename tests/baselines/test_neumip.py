@@ -17,6 +17,7 @@ from prt_bake.baselines import NeuMIP, NeuMIPSettings, train_baseline
 from prt_bake.baselines.neumip_training import LEARNING, NeuMIPLearner, own_loss, train_neumip
 from prt_bake.baselines.texture_space import cover
 from prt_bake.geometry.surface import Location, Surface
+from prt_bake.importance.targets import gather_targets
 from prt_bake.network.bssrdf import load_model, save_model
 from prt_bake.trainer.samples.rows import Batch, Box, RowSource, SourceStatistics, build_batch
 from tests.baselines.shapes import ball_of_charts, queries_on
@@ -324,6 +325,11 @@ def test_a_trained_model_is_baked_as_a_network_is(scene: Scene, tmp_path: Path) 
     assert np.isfinite(asset.coefficients).all()
     mean = np.asarray(asset.coefficients)[..., 0, :].mean(axis=(0, 1))
     assert (np.diff(mean) < 0.0).all(), "the medium's albedo falls from red to blue"
+
+
+def test_the_importance_module_learns_from_it(fitted: NeuMIP) -> None:
+    targets = gather_targets(fitted, ball_of_charts(), range(1), 0)
+    assert len(targets.positions) > 0
 
 
 def test_a_stopped_training_goes_on_where_it_was(scene: Scene, tmp_path: Path) -> None:
