@@ -10,7 +10,10 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
+        "ceiling": ["lambert_ceiling", "measure_ceiling"],
         "door": ["BASELINES", "train_baseline"],
+        "nerfactor": ["NeRFactor"],
+        "nerfactor_settings": ["NeRFactorSettings"],
         "neumip": ["NeuMIP"],
         "neumip_settings": ["NeuMIPSettings"],
     },
