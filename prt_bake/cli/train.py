@@ -1,6 +1,7 @@
 """`prtbake train`: path traces a scene and fits a model to it."""
 
 import time
+from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -17,6 +18,7 @@ from prt_bake.cli.shared.progress import reporting, say, stopping
 from prt_bake.network.file_names import importance_path, report_paths, state_path
 
 if TYPE_CHECKING:
+    from prt_bake.network.model import Model
     from prt_bake.trainer.train import TrainingProgress
 
 
@@ -43,6 +45,15 @@ def train(
         Literal["measured", "paper"],
         typer.Option(help="Network: measured is the best in our tests; paper is the paper's."),
     ] = "measured",
+    baseline: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Train a model that the paper compares itself with instead of the network: neumip, neumip-log, "
+            "nerfactor, nerfactor-known or nerfactor-unknown.",
+            show_default=False,
+        ),
+    ] = None,
     samples: Annotated[
         Path | None,
         typer.Option(
@@ -86,6 +97,7 @@ def train(
         say(f"there will be no report: {missing}; `prtbake report training` writes it later")
         with_report = False
     from dataclasses import replace
+    from functools import partial
 
     from formats.scene import read_scene
     from prt_bake.cli.shared import after_training
@@ -95,7 +107,14 @@ def train(
     from prt_bake.trainer.cores import select_device
     from prt_bake.trainer.train import train as fit
 
-    selected, read = select_device(device), read_scene(scene)
+    fitted: Callable[..., Model]
+    if baseline is None:
+        selected, fitted = select_device(device), partial(fit, settings=replace(PRESETS[preset], seed=seed))
+    else:
+        from prt_bake.baselines.door import train_baseline
+
+        selected, fitted = "cpu" if device == "auto" else device, partial(train_baseline, baseline=baseline)
+    read = read_scene(scene)
     budget = Budget(minutes, began, report=with_report, importance=with_importance) if steps is None else None
     with stopping() as stop:
         stop.at_once = True
@@ -111,12 +130,11 @@ def train(
                 share, left = (row.share, None) if budget is None else (budget.share, budget.left)
                 show(share, f"error {row.validation:.1%}", left, _details(row))
 
-            network = fit(
+            network = fitted(
                 read,
                 minutes=minutes,
                 steps=steps,
                 seed=seed,
-                settings=replace(PRESETS[preset], seed=seed),
                 device=selected,
                 output=output,
                 resume=resume,

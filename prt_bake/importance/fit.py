@@ -17,7 +17,7 @@ from bakers.transport import on_mesh, refuse_foreign
 from formats.mesh import Mesh
 from prt_bake.importance.loss import TargetTensors, assess, assess_constant, density, divergence, uniform_fitness
 from prt_bake.importance.module import ImportanceModule, ImportanceSettings
-from prt_bake.importance.targets import DIRECTIONS, QUERIES_PER_BLOCK, BlockTransport, gather_targets
+from prt_bake.importance.targets import DIRECTIONS, QUERIES_PER_BLOCK, gather_targets
 
 STEPS = 1500
 BLOCKS = 16
@@ -68,7 +68,7 @@ def fit_importance(
     device: str = "cpu",
     threads: int | None = None,
 ) -> ImportanceModule:
-    """An importance module for `network` (any object with `evaluate_block`) on its mesh, ready to be saved.
+    """An importance module for `network` (any transport with values of Ŝ) on its mesh, ready to be saved.
 
     The fit ends after `seconds` or STEPS steps, whichever comes first. With `steps` it ends after these, independent of
     the time, and the same seed gives the same module bit by bit. It trains on `blocks` times 256 queries and validates
@@ -109,7 +109,7 @@ def fit_importance(
 
 
 def gather(
-    transport: BlockTransport,
+    transport: Any,
     mesh: Mesh,
     blocks: int,
     seed: int,

@@ -8,11 +8,12 @@ shares eight rotations, so that the network's fused evaluation can cache its tab
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from bakers.evaluation import values_at
 from formats.errors import ModelError
 from formats.mesh import Mesh
 from prt_bake.mathematics.directions import on_sphere, rotations
@@ -27,15 +28,6 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _QUERY_STREAM, _TURN_STREAM = 0x1B0, 0x1B1
 
 Array = NDArray[np.float64]
-
-
-class BlockTransport(Protocol):
-    """Evaluates the targets: a frozen network, or any object with this method."""
-
-    def evaluate_block(
-        self, incident: ArrayLike, rotation: ArrayLike, positions: ArrayLike, outgoing: ArrayLike
-    ) -> NDArray[np.float32]:
-        """Ŝ [N,B,D,3] from incident [R,D,3], rotation [N,B], positions [N,3], outgoing [N,B,3]."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +53,7 @@ class Targets:
 
 
 def gather_targets(
-    transport: BlockTransport,
+    transport: Any,
     mesh: Mesh,
     blocks: Iterable[int],
     seed: int,
@@ -112,12 +104,12 @@ def bin_centres() -> Array:
     return on_sphere((ring + 0.5) / RINGS, (sector + 0.5) / SECTORS)
 
 
-def _block(transport: BlockTransport, mesh: Mesh, block: int, seed: int) -> Targets:
+def _block(transport: Any, mesh: Mesh, block: int, seed: int) -> Targets:
     positions, outgoing, normals = draw_queries(mesh, block, seed)
     turns = rotations(uniforms((_TURN_STREAM, seed, block * TURNS + np.arange(TURNS)), 3))
     directions = np.einsum("rij,dj->rdi", turns, bin_centres())
     turn = np.arange(len(positions)) % TURNS
-    values = transport.evaluate_block(directions, turn[:, None], positions, outgoing[:, None])[:, 0]
+    values = values_at(transport, directions, turn, positions, outgoing)
     luminance = np.maximum(np.asarray(values, np.float64) @ LUMINANCE, 0.0)
     sums = luminance.sum(axis=1)
     if not np.isfinite(sums).all():

@@ -10,10 +10,11 @@ def describe(path: Path) -> dict[str, Any]:
     """Return the size, the box, the settings and the metadata of a network."""
     network = load_model(path)
     return {
+        "kind": network.kind,
         "weights": sum(parameter.numel() for parameter in network.parameters()),
         "box minimum": network.box_min.tolist(),
         "box side": network.box_side,
-        **_describe_interior(network.view),
+        **_describe_interior(getattr(network, "view", None)),
         **{f"settings: {name}": value for name, value in network.settings.as_json().items()},
         **network.metadata,
     }

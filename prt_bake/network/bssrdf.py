@@ -39,6 +39,7 @@ from prt_bake.network.features.interior import Interior
 from prt_bake.network.inference.fused import FusedNetwork
 from prt_bake.network.inference.prepared import prepared_for
 from prt_bake.network.lobes import LOBE_PARAMETERS
+from prt_bake.network.model import NEURAL_BSSRDF, Model, model_of_kind
 from prt_bake.network.settings import PRESETS, NetworkSettings
 
 __all__ = ["PRESETS", "NetworkSettings", "NeuralBSSRDF", "load_model", "save_model"]
@@ -98,9 +99,29 @@ class NeuralBSSRDF(NetworkCore):
                 weight.copy_(torch.where(weight.abs() <= _MAX_FLOAT16, weight.half().float(), weight))
         return copied
 
+    def file_content(self) -> tuple[dict[str, Any], dict[str, Tensor]]:
+        """The description and the tensors of the model's file."""
+        head = {
+            "settings": self.settings.as_json(),
+            "box_min": self.box_min.tolist(),
+            "box_side": self.box_side,
+            "output_scale": self.output_scale,
+            "metadata": self.metadata,
+        }
+        tensors = {name: tensor.detach().float().cpu().contiguous() for name, tensor in self.state_dict().items()}
+        if self.view is not None:
+            interior = self.view.interior
+            head["interior"] = interior.as_json()
+            tensors[INTERIOR] = interior.packed()
+            if interior.inner:
+                tensors[INNER] = interior.packed_inner()
+            if interior.material is not None:
+                tensors[MATERIAL] = interior.material.packed()
+        return head, tensors
 
-def save_model(network: NeuralBSSRDF, path: str | Path) -> None:
-    """Writes the network as `.pt` or `.safetensors`: tensors, and everything else as JSON.
+
+def save_model(network: Model, path: str | Path) -> None:
+    """Writes a model as `.pt` or `.safetensors`: tensors, and everything else as JSON.
 
     A tensor is stored in float16 if that is exact (see `rounded`), else in float32. Rounded networks of the presets
     take 372 KiB ("paper") and at most 836 KiB ("measured"). Raises ModelError on another suffix or on weights that are
@@ -113,27 +134,13 @@ def save_model(network: NeuralBSSRDF, path: str | Path) -> None:
     ...     prt.load_model(f"{folder}/model.pt").output_scale
     0.5
     """
-    head = {
-        "format": FORMAT,
-        "format_version": FORMAT_VERSION,
-        "settings": network.settings.as_json(),
-        "box_min": network.box_min.tolist(),
-        "box_side": network.box_side,
-        "output_scale": network.output_scale,
-        "metadata": network.metadata,
-    }
-    if network.view is not None:
-        head["interior"] = network.view.interior.as_json()
-    tensors = {name: tensor.detach().float().cpu().contiguous() for name, tensor in network.state_dict().items()}
-    check_tensors(tensors, _shapes(tensors), path)
-    tensors = {name: _smallest(tensor) for name, tensor in tensors.items()}
-    if network.view is not None:
-        tensors[INTERIOR] = network.view.interior.packed()
-        if network.view.interior.inner:
-            tensors[INNER] = network.view.interior.packed_inner()
-        if network.view.interior.material is not None:
-            tensors[MATERIAL] = network.view.interior.material.packed()
-    write_checkpoint(path, json.dumps(head), tensors)
+    refuse_path("network", network, "prt.load_model")
+    head, tensors = network.file_content()
+    floats = {name: tensor for name, tensor in tensors.items() if tensor.is_floating_point()}
+    check_tensors(floats, _shapes(floats), path)
+    small = {name: _smallest(tensor) for name, tensor in floats.items()}
+    head = {"format": FORMAT, "format_version": FORMAT_VERSION, **head}
+    write_checkpoint(path, json.dumps(head), {**tensors, **small})
 
 
 def _smallest(tensor: Tensor) -> Tensor:
@@ -141,8 +148,8 @@ def _smallest(tensor: Tensor) -> Tensor:
     return half if bool((half.float() == tensor).all()) else tensor
 
 
-def load_model(path: str | Path, device: str = "cpu", *, mesh: Mesh | None = None) -> NeuralBSSRDF:
-    """The network that `save_model` wrote, ready to evaluate on `device`.
+def load_model(path: str | Path, device: str = "cpu", *, mesh: Mesh | None = None) -> Model:
+    """The model that `save_model` wrote, ready to evaluate on `device`: a neural BSSRDF or a baseline.
 
     Args:
         path: the file, `.pt` or `.safetensors`.
@@ -172,33 +179,40 @@ def load_model(path: str | Path, device: str = "cpu", *, mesh: Mesh | None = Non
                 "or train one"
             )
         _check_metadata(head["metadata"])
-        packed, inner, material = (tensors.pop(name, None) for name in (INTERIOR, INNER, MATERIAL))
-        settings = NetworkSettings.from_json(head["settings"])
-        _check_size(settings, sum(tensor.numel() for tensor in tensors.values()))
-        network = NeuralBSSRDF(
-            settings,
-            head["box_min"],
-            head["box_side"],
-            head["output_scale"],
-            head["metadata"],
-            None if packed is None else Interior.unpacked(head["interior"], packed, inner, material),
-        )
+        kind = head.get("kind", NEURAL_BSSRDF)
+        model = _network(head, tensors, path) if kind == NEURAL_BSSRDF else model_of_kind(kind, head, tensors)
     except ModelError as fault:
         raise fault if str(path) in str(fault) else ModelError(f"{path}: {fault}") from None
     except (KeyError, TypeError, ValueError, AttributeError) as fault:
         raise ModelError(
             f"{path}: the model's description is not readable ({fault!r}); train the model again"
         ) from None
+    model = model.to(device).eval()
+    if mesh is None:
+        return model
+    model.refuse_foreign(mesh)
+    return model.on(mesh)
+
+
+def _network(head: dict[str, Any], tensors: dict[str, Tensor], path: str | Path) -> NeuralBSSRDF:
+    """The neural BSSRDF of a file's content."""
+    packed, inner, material = (tensors.pop(name, None) for name in (INTERIOR, INNER, MATERIAL))
+    settings = NetworkSettings.from_json(head["settings"])
+    _check_size(settings, sum(tensor.numel() for tensor in tensors.values()))
+    network = NeuralBSSRDF(
+        settings,
+        head["box_min"],
+        head["box_side"],
+        head["output_scale"],
+        head["metadata"],
+        None if packed is None else Interior.unpacked(head["interior"], packed, inner, material),
+    )
     try:
         check_tensors(tensors, _shapes(network.state_dict()), path)
     except ModelError as fault:
         raise ModelError(f"{fault}; copy the file again, or train the model again") from None
     network.load_state_dict(tensors)
-    network = network.to(device).eval()
-    if mesh is None:
-        return network
-    network.refuse_foreign(mesh)
-    return network.on(mesh)
+    return network
 
 
 def _check_metadata(metadata: dict[str, Any]) -> None:

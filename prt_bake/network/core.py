@@ -24,6 +24,7 @@ from prt_bake.network.features.interior import Interior
 from prt_bake.network.features.view_features import ViewEncoding, ViewFeatures
 from prt_bake.network.features.view_path import Body, ViewPath, path_through
 from prt_bake.network.lobes import LOBE_PARAMETERS, Lobes, decode_lobes, evaluate_lobes
+from prt_bake.network.model import NEURAL_BSSRDF, TrainableModel
 from prt_bake.network.queries import float64_tensor, queries, refuse_outside
 from prt_bake.network.settings import EXIT_INPUTS, NetworkSettings
 from prt_bake.network.surface_check import OwnSurface
@@ -38,9 +39,10 @@ if hasattr(os, "register_at_fork"):  # Windows has no fork
     os.register_at_fork(after_in_child=partial(torch.set_num_threads, 1))
 
 
-class NetworkCore(nn.Module):
+class NetworkCore(TrainableModel):
     """A network for Ŝ(ωi; x, ωo) of one object; see `prt_bake.network.bssrdf` for its inputs."""
 
+    kind = NEURAL_BSSRDF
     frequencies: Tensor
     light_frequencies: Tensor
     box_min: Tensor

@@ -13,6 +13,7 @@ from formats.mesh import Mesh
 from formats.scene import Scene
 from prt_bake.importance.module import importance_path, load_importance, save_importance
 from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF, load_model
+from prt_bake.network.model import Model
 from prt_bake.paper.artefacts import Artefact, Artefacts, Facts, Stopped
 
 Progress = Callable[[float, str], None]
@@ -128,12 +129,12 @@ def _importance_copied(given: Path, model: Artefact, path: Path) -> Facts:
     return {"megabytes": path.stat().st_size / 1e6, "fit": module.metadata.get("fit", {})}
 
 
-def _copied(given: Path, path: Path, network: NeuralBSSRDF) -> Facts:
+def _copied(given: Path, path: Path, network: Model) -> Facts:
     shutil.copyfile(given, path)
     return _facts(network, path)
 
 
-def _facts(network: NeuralBSSRDF, path: Path) -> Facts:
+def _facts(network: Model, path: Path) -> Facts:
     """Return the figures of the training and the size on disk."""
     training = network.metadata.get("training", {})
     names = ("seconds", "steps", "walks", "relative_rmse", "validation_vs_time")

@@ -14,9 +14,8 @@ from torch import Tensor, nn
 from formats.errors import QueryError
 from prt_bake.mathematics.directions import rotations
 from prt_bake.mathematics.sphere import fibonacci
-from prt_bake.network.bssrdf import NeuralBSSRDF
-from prt_bake.network.features.view_features import ViewEncoding
 from prt_bake.network.lobes import Lobes, evaluate_lobes, mean_square
+from prt_bake.network.model import TrainableModel
 from prt_bake.trainer.muon import Muon
 from prt_bake.trainer.objective import LobeTerms, Loss, exit_loss, value_loss
 from prt_bake.trainer.precision import bfloat16_is_faster
@@ -121,16 +120,16 @@ class Learner:
         bfloat16: whether matrix products are in bfloat16.
     """
 
-    def __init__(self, network: NeuralBSSRDF, settings: LearningSettings) -> None:
+    def __init__(self, network: TrainableModel, settings: LearningSettings) -> None:
         """Learn on the network's device."""
         self.network, self.settings = network, settings
         self.model = copy.deepcopy(network) if settings.average else network
-        self.optimizers = _optimizers(network, settings)
+        self.optimizers = self._optimizers()
         self.step = 0
-        self._device = network.frequencies.device
+        self._device = network.box_min.device
         self.bfloat16 = settings.bfloat16 and bfloat16_is_faster(self._device.type)
 
-    def encode_views(self, batch: Batch) -> ViewEncoding | None:
+    def encode_views(self, batch: Batch) -> Any:
         """The network's encoding of the rows' views, which does not depend on its weights; safe in any thread."""
         rows = torch.from_numpy(batch.rows[:, :BEFORE_RAYS]).to(self._device)
         return self.network.encode_views(self._positions(rows), rows[:, OUTGOING])
@@ -141,7 +140,7 @@ class Learner:
         batch: Batch,
         share: float,
         generator: np.random.Generator,
-        encoding: ViewEncoding | None = None,
+        encoding: Any = None,
     ) -> float:
         """Take one step on rows of `source` after `share` of the run, and return the loss.
 
@@ -166,7 +165,7 @@ class Learner:
             self._average(self._share_of_average(self.step))
         return value
 
-    def result(self) -> NeuralBSSRDF:
+    def result(self) -> TrainableModel:
         """The model, its weights rounded as in a file."""
         return self.model.eval().rounded()
 
@@ -199,24 +198,33 @@ class Learner:
         self.step = int(state["step"])
         self.bfloat16 = bool(state.get("bfloat16", self.bfloat16))
 
+    def _optimizers(self) -> list[torch.optim.Optimizer]:
+        """AdamW, and Muon for the matrices of the hidden layers."""
+        hidden = getattr(self.network, "hidden", ()) if self.settings.muon else ()
+        matrices = [layer.weight for layer in hidden if isinstance(layer, nn.Linear)]
+        chosen, rate, decay = set(map(id, matrices)), self.settings.rate, self.settings.decay
+        others = [weights for weights in self.network.parameters() if id(weights) not in chosen]
+        adam = torch.optim.AdamW(others, lr=rate, betas=(0.9, 0.99), weight_decay=decay)
+        return [adam, Muon(matrices, rate, decay)] if matrices else [adam]
+
     def _groups(self) -> list[dict[str, Any]]:
         """The groups of weights of all optimisers."""
         return [group for optimizer in self.optimizers for group in optimizer.param_groups]
 
-    def _value_losses(self, rows: Tensor, encoding: ViewEncoding | None) -> Tensor:
+    def _value_losses(self, rows: Tensor, encoding: Any) -> Tensor:
         rays = rays_of(rows)
         predicted, _lobes = self._predict(rays[..., INCIDENT], rows, encoding)
         values = rays[..., CHANNELS] / self.network.output_scale
         return value_loss(predicted, values, self.settings.loss, self.settings.floor)
 
-    def _exit_losses(self, rows: Tensor, generator: np.random.Generator, encoding: ViewEncoding | None) -> Tensor:
+    def _exit_losses(self, rows: Tensor, generator: np.random.Generator, encoding: Any) -> Tensor:
         rays, count = rays_of(rows), self.settings.spread
         if self.step < self.settings.coarse_steps and bool(torch.isfinite(rays).all()):
             rays, count = every_third(rays, int(generator.integers(3))), math.ceil(count / 3)
         uniform = torch.from_numpy(rotated_lattice(len(rows), count, generator)).to(self._device)
         return self._losses_of_exits(rows, rays, uniform, encoding)
 
-    def _losses_of_exits(self, rows: Tensor, rays: Tensor, uniform: Tensor, encoding: ViewEncoding | None) -> Tensor:
+    def _losses_of_exits(self, rows: Tensor, rays: Tensor, uniform: Tensor, encoding: Any) -> Tensor:
         """Losses [Q] of rows from rays [Q,P,6] and uniform directions [Q,S,3]."""
         settings = self.settings
         predicted, lobes = self._predict(torch.cat((rays[..., INCIDENT], uniform), dim=1), rows, encoding)
@@ -225,7 +233,7 @@ class Learner:
         terms = None if lobes is None else LobeTerms(evaluate_lobes(lobes, uniform), mean_square(lobes))
         return exit_loss(predicted[:, :walks], throughput, predicted[:, walks:], settings.loss, settings.floor, terms)
 
-    def _predict(self, incident: Tensor, rows: Tensor, encoding: ViewEncoding | None) -> tuple[Tensor, Lobes | None]:
+    def _predict(self, incident: Tensor, rows: Tensor, encoding: Any) -> tuple[Tensor, Lobes | None]:
         """The network's float32 values [Q,D,3] for incident [Q,D,3] over its output scale, and their lobes."""
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self.bfloat16):
             values, lobes = self.network.components(incident, self._positions(rows), rows[:, OUTGOING], encoding)
@@ -242,10 +250,10 @@ class Learner:
             for mean, weights in zip(self.model.parameters(), self.network.parameters(), strict=True):
                 mean.lerp_(weights, share)
 
-    def _share_of_average(self, step: int) -> float:
-        """The share with which step s of t has a weight proportional to about (s/t)^γ in the average."""
+    def _share_of_average(self, step: Any) -> Any:
+        """The share with which step s of t, a number or a tensor, has a weight of about (s/t)^γ in the average."""
         gamma = 1.0 / self.settings.average_length - 2.0
-        return float(1.0 - (1.0 - 1.0 / step) ** (gamma + 1.0))
+        return 1.0 - (1.0 - 1.0 / step) ** (gamma + 1.0)
 
     def _error(self, source: RowSource, batch: Batch, losses: NDArray[np.float32], value: float) -> str:
         """The message about a loss that is not finite: the query and the ray that caused it."""
@@ -268,15 +276,6 @@ class Learner:
             f"position {_text(position)}, outgoing {_text(row[OUTGOING])}, incident {_text(ray[INCIDENT])}, "
             f"{channel} {_text(ray[CHANNELS])}; {cause}"
         )
-
-
-def _optimizers(network: NeuralBSSRDF, settings: LearningSettings) -> list[torch.optim.Optimizer]:
-    """AdamW, and Muon for the matrices of the hidden layers."""
-    matrices = [layer.weight for layer in network.hidden if isinstance(layer, nn.Linear) and settings.muon]
-    chosen = set(map(id, matrices))
-    others = [weights for weights in network.parameters() if id(weights) not in chosen]
-    adam = torch.optim.AdamW(others, lr=settings.rate, betas=(0.9, 0.99), weight_decay=settings.decay)
-    return [adam, Muon(matrices, settings.rate, settings.decay)] if matrices else [adam]
 
 
 def every_third(rays: Tensor, first: int) -> Tensor:

@@ -16,7 +16,7 @@ from formats.errors import SamplesError
 from formats.samples import Samples, read_samples
 from formats.scene import Scene
 from prt_bake.mathematics.random import uniforms
-from prt_bake.network.bssrdf import NeuralBSSRDF
+from prt_bake.network.model import TrainableModel
 from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.cores import alternating_threads
 from prt_bake.trainer.learner import LearningSettings
@@ -84,7 +84,7 @@ class SampleFileData:
         order = np.argsort(_uniform(self._samples.keys[chosen]), kind="stable")
         return self._held_out(chosen[order[: learning.held_out_queries]])
 
-    def source(self, learning: LearningSettings, network: NeuralBSSRDF, state: dict[str, int] | None) -> RowSource:
+    def source(self, learning: LearningSettings, network: TrainableModel, state: dict[str, int] | None) -> RowSource:
         """Passes over the training samples, each in a different order."""
         return FileRows(self._samples, np.flatnonzero(self._split.learning), self.box, self._path, self._seed, state)
 
@@ -105,7 +105,7 @@ class SampleFileData:
         }
 
     def errors(
-        self, network: NeuralBSSRDF, learning: LearningSettings, seconds: float, follow: Follow
+        self, network: TrainableModel, learning: LearningSettings, seconds: float, follow: Follow
     ) -> dict[str, Any]:
         """The errors on the test samples and on fresh queries."""
         test = self._held_out(np.flatnonzero(self._split.test))

@@ -6,11 +6,10 @@ computing it takes up to half as long as a training step. Threads beside the lea
 
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from prt_bake.network.features.view_features import ViewEncoding
 from prt_bake.trainer.learner import Learner
 from prt_bake.trainer.samples.rows import Batch, RowSource
 
@@ -19,7 +18,7 @@ class PreparedBatch(NamedTuple):
     """Rows, and the encoding of their views (None for networks that have none)."""
 
     batch: Batch
-    encoding: ViewEncoding | None
+    encoding: Any
 
 
 class Prefetcher:

@@ -5,7 +5,7 @@ from dataclasses import asdict
 from typing import Any, Literal, Protocol
 
 from formats.scene import Scene
-from prt_bake.network.bssrdf import NeuralBSSRDF
+from prt_bake.network.model import TrainableModel
 from prt_bake.tracer.prepared import PreparedScene, prepare
 from prt_bake.trainer.cores import alternating_threads, concurrent_threads
 from prt_bake.trainer.learner import LearningSettings
@@ -32,7 +32,7 @@ class TrainingData(Protocol):
     def reference(self, learning: LearningSettings, seconds: float, follow: Follow) -> Reference:
         """The reference of the validation error during the run, path traced for at most `seconds`."""
 
-    def source(self, learning: LearningSettings, network: NeuralBSSRDF, state: dict[str, int] | None) -> RowSource:
+    def source(self, learning: LearningSettings, network: TrainableModel, state: dict[str, int] | None) -> RowSource:
         """The source of training rows for the network, continued from `state` if given."""
 
     def learner_threads(self, learning: LearningSettings, device: str) -> int:
@@ -42,7 +42,7 @@ class TrainingData(Protocol):
         """Entries of the model's metadata: the data that it learned from."""
 
     def errors(
-        self, network: NeuralBSSRDF, learning: LearningSettings, seconds: float, follow: Follow
+        self, network: TrainableModel, learning: LearningSettings, seconds: float, follow: Follow
     ) -> dict[str, Any]:
         """Entries of the model's metadata: its final errors, measured for at most `seconds`."""
 
@@ -68,11 +68,13 @@ class PathTracedData:
         count, walks = learning.held_out_queries, learning.held_out_walks
         return validation_reference(self.scene, self._prepared, count, walks, self._device, seconds, follow)
 
-    def source(self, learning: LearningSettings, network: NeuralBSSRDF, state: dict[str, int] | None) -> RowSource:
+    def source(self, learning: LearningSettings, network: TrainableModel, state: dict[str, int] | None) -> RowSource:
         """A renderer whose kernel is compiled."""
         if self.on_gpu:
+            from prt_bake.network.bssrdf import NeuralBSSRDF
             from prt_bake.trainer.gpu.renderer import compiled_renderer
 
+            assert isinstance(network, NeuralBSSRDF)
             paths = network.packed_paths
             return compiled_renderer(
                 self.scene, self._prepared, self.box, self._stream, self._seed, learning.batch, paths, state
@@ -81,7 +83,7 @@ class PathTracedData:
         tracer.render(0, 1)
         if self._synchronous:
             return AlternatingRenderer(tracer, self._stream, alternating_threads().renderer, self._seed, state)
-        device = network.frequencies.device.type
+        device = network.box_min.device.type
         threads = concurrent_threads(learning.core_share, device).renderer
         reuse = self._stream.reuse if device == "cpu" else math.inf
         return BackgroundRenderer(tracer, self._stream, threads, _FIRST_FILL * learning.batch, state, reuse)
@@ -95,7 +97,7 @@ class PathTracedData:
         return {"stream": asdict(self._stream)}
 
     def errors(
-        self, network: NeuralBSSRDF, learning: LearningSettings, seconds: float, follow: Follow
+        self, network: TrainableModel, learning: LearningSettings, seconds: float, follow: Follow
     ) -> dict[str, Any]:
         """Errors on fresh queries."""
         count, walks = learning.held_out_queries, learning.held_out_walks

@@ -17,10 +17,10 @@ import torch
 from formats.scene import Scene, read_scene
 from prt_bake.network.bssrdf import PRESETS, NeuralBSSRDF
 from prt_bake.tracer.prepared import prepare
+from prt_bake.trainer.fit import settings_for
 from prt_bake.trainer.interior import interior_of, with_fitting_grid
 from prt_bake.trainer.learner import Learner, LearningSettings
 from prt_bake.trainer.samples.rows import Batch, ExitTracer, StreamSettings
-from prt_bake.trainer.train import _settings_for
 from prt_bake.trainer.training_data import box_of
 from prt_bake.trainer.validation import HeldOutCoefficients, hold_out_coefficients, network_coefficients
 
@@ -85,7 +85,7 @@ def traced_rows(scene: Scene, count: int) -> Array:
 
 def trained(scene: Scene, rows: Array, scale: float, variant: Variant) -> tuple[NeuralBSSRDF, int]:
     """The network of a variant after one pass over its rows, and its steps."""
-    box, settings = box_of(scene), replace(_settings_for(PRESETS["measured"], scene), **variant.network)
+    box, settings = box_of(scene), replace(settings_for(PRESETS["measured"], scene), **variant.network)
     interior = interior_of(scene, box, with_meshes=True, with_material=settings.material_channels > 0)
     settings = replace(with_fitting_grid(settings, interior), **variant.network)
     network = NeuralBSSRDF(settings, box.corner, box.side, scale, {"normals": scene.normals}, interior)

@@ -9,7 +9,7 @@ from prt_bake.cli.shared.progress import Report, reporting, say
 
 if TYPE_CHECKING:
     from formats.scene import Scene
-    from prt_bake.network.bssrdf import NeuralBSSRDF
+    from prt_bake.network.model import Model
     from prt_bake.trainer.budget import Budget
 
 _SHARE_OF_THE_TRAINING = 0.1
@@ -18,7 +18,7 @@ _MOST_SECONDS = {"report": 40.0, "importance": 60.0}
 
 
 def report(
-    network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int, budget: "Budget | None" = None, module: bool = True
+    network: "Model", scene: "Scene", model: Path, seed: int, budget: "Budget | None" = None, module: bool = True
 ) -> bool:
     """Write MODEL.report.json and MODEL.report.html, print the criteria and the quality, and return whether it is done.
 
@@ -60,7 +60,7 @@ def report(
     return True
 
 
-def importance(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int, budget: "Budget | None" = None) -> None:
+def importance(network: "Model", scene: "Scene", model: Path, seed: int, budget: "Budget | None" = None) -> None:
     """Fit and write MODEL.importance.pt; prints errors instead of raising. Ctrl-C keeps the module fitted so far."""
     from dataclasses import replace
 
@@ -101,7 +101,7 @@ def importance(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int, 
     )
 
 
-def quality_of(network: "NeuralBSSRDF") -> str:
+def quality_of(network: "Model") -> str:
     """The quality of a model by the final errors of its training, in words."""
     from prt_bake.trainer.report.quality import quality
     from prt_bake.trainer.report.summary import final_error
@@ -118,6 +118,6 @@ def show_part(show: Report, text: str, share: float, budget: "Budget | None") ->
         show(budget.share, text, budget.left)
 
 
-def _seconds(network: "NeuralBSSRDF", what: str) -> float:
+def _seconds(network: "Model", what: str) -> float:
     trained = float(network.metadata["training"]["seconds"])
     return min(_MOST_SECONDS[what], max(_LEAST_SECONDS, _SHARE_OF_THE_TRAINING * trained))

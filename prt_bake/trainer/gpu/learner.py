@@ -38,6 +38,7 @@ class GpuLearner(Learner):
     def __init__(self, network: NeuralBSSRDF, settings: LearningSettings) -> None:
         """Learn on the network's device, a GPU."""
         super().__init__(network, settings)
+        self._view = network.view
         self._recordable = self._device.type == "cuda"
         self._set_optimizer()
         self._generator = torch.Generator(self._device)
@@ -124,7 +125,7 @@ class GpuLearner(Learner):
         assert self._batch is not None
         for optimizer in self.optimizers:
             optimizer.zero_grad(set_to_none=True)
-        rows, view, path = self._batch.rows, self.network.view, known_paths(self._batch.paths)
+        rows, view, path = self._batch.rows, self._view, known_paths(self._batch.paths)
         encoding = None
         if view is not None:
             encoding = view.encode(rows[:, POSITION], rows[:, OUTGOING], self._batch.normals, path)

@@ -1,0 +1,89 @@
+"""What a training fits: the neural BSSRDF, or another model that brings its own learner."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from formats.scene import Scene
+from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF
+from prt_bake.network.model import TrainableModel
+from prt_bake.tracer.prepared import interface_kind, is_unrefracted
+from prt_bake.tracer.surface.interface import ROUGH
+from prt_bake.trainer.interior import interior_of, is_clear, with_fitting_grid
+from prt_bake.trainer.learner import Learner, LearningSettings
+from prt_bake.trainer.training_data import TrainingData, box_of
+
+
+class Fit(Protocol):
+    """Makes the model of a run, and what learns its weights."""
+
+    resume_settings: dict[str, Any]
+    """Settings of the model that a resumed run must share with the run that it continues."""
+
+    def model(self, output_scale: float) -> TrainableModel:
+        """The model before its first step, bound to the scene's mesh."""
+
+    def learner(self, model: TrainableModel, learning: LearningSettings) -> Learner:
+        """What learns the model's weights."""
+
+
+class NetworkFit:
+    """Fits a neural BSSRDF."""
+
+    def __init__(self, data: TrainingData, settings: NetworkSettings, device: str) -> None:
+        """Measure the interior of the scene's object. Inputs that are useless for the scene are left out."""
+        self._scene, self._box, self._device, self._on_gpu = data.scene, data.box, device, data.on_gpu
+        settings, self._interior = settings_for(settings, data.scene), None
+        if settings.ray_samples:
+            interfaces, material = settings.interfaces > 0, settings.material_channels > 0
+            self._interior = interior_of(data.scene, data.box, interfaces, material)
+            settings = with_fitting_grid(settings, self._interior)
+        self._settings = settings
+        self.resume_settings = {
+            **{f"network {name}": value for name, value in settings.as_json().items()},
+            "interior": "" if self._interior is None else self._interior.content_hash,
+        }
+
+    def model(self, output_scale: float) -> NeuralBSSRDF:
+        """The network before its first step."""
+        box, metadata = self._box, metadata_of(self._scene)
+        network = NeuralBSSRDF(self._settings, box.corner, box.side, output_scale, metadata, self._interior)
+        return network.to(self._device).on(self._scene.mesh)
+
+    def learner(self, model: TrainableModel, learning: LearningSettings) -> Learner:
+        """The learner of the device that path traces."""
+        if not self._on_gpu:
+            return Learner(model, learning)
+        from prt_bake.trainer.gpu.learner import GpuLearner
+
+        assert isinstance(model, NeuralBSSRDF)
+        return GpuLearner(model, learning)
+
+
+def settings_for(settings: NetworkSettings, scene: Scene) -> NetworkSettings:
+    """The settings without inputs that are useless for the scene.
+
+    The normal is useless where the boundary does not bend light. Refracted rays are useless where they hardly ever
+    reach the other side. Lobes are useless where hardly any light crosses unscattered, and where a smooth interface
+    excludes that light from Ŝ.
+    """
+    if is_unrefracted(scene):
+        return replace(settings, tells_normal=False, interfaces=0, lobes=0)
+    if not is_clear(scene, box_of(scene)):
+        return replace(settings, interfaces=0, lobes=0)
+    return settings if interface_kind(scene) == ROUGH else replace(settings, lobes=0)
+
+
+def metadata_of(scene: Scene) -> dict[str, Any]:
+    """The entries of a model's metadata that its scene gives."""
+    return {
+        "scene": Path(scene.path).name,
+        "scene_hash": scene.content_hash,
+        "up": scene.up,
+        "unit": scene.unit,
+        "eta": float(scene.eta),
+        "roughness": float(np.mean(scene.roughness)),
+        "normals": scene.normals,
+    }

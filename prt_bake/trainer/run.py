@@ -1,0 +1,214 @@
+"""One training run: its data, its learner and its progress."""
+
+import json
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from prt_bake.network.bssrdf import save_model
+from prt_bake.network.model import TrainableModel
+from prt_bake.trainer.budget import Budget
+from prt_bake.trainer.fit import Fit
+from prt_bake.trainer.history import Meter, TrainingProgress, every_tenth
+from prt_bake.trainer.learner import LearningSettings
+from prt_bake.trainer.prefetch import Prefetcher
+from prt_bake.trainer.resume import read_state, write_state
+from prt_bake.trainer.samples.rows import RowSource
+from prt_bake.trainer.training_data import TrainingData
+
+Progress = Callable[[TrainingProgress], None]
+Part = Callable[[str, float], None]
+
+
+class Run:
+    """One training run: its data, its learner and its progress."""
+
+    def __init__(
+        self, data: TrainingData, fit: Fit, learning: LearningSettings, seed: int, budget: Budget | None, part: Part
+    ) -> None:
+        """Trace the validation queries, and make the model and its learner."""
+        self.data, self.learning, self.seed = data, learning, seed
+        self.budget, self.part, self.scene = budget, part, data.scene
+        self.resume_settings = {**fit.resume_settings, "seed": seed, "muon": learning.muon, **data.resume_settings}
+        self.synchronous = bool(self.resume_settings["synchronous"])
+        self.reference = data.reference(
+            learning, math.inf if budget is None else budget.validation, partial(part, "validation queries")
+        )
+        model = fit.model(self.reference.scale() or 1.0)
+        # The faster precision is measured by a clock, which must not decide the bits of a synchronous run.
+        self.learner = fit.learner(model, replace(learning, bfloat16=False) if self.synchronous else learning)
+        self.generator = np.random.default_rng(seed)
+        self.seconds = 0.0
+        self.length = math.inf
+        """Seconds of learning of the complete run, if it ends by time."""
+        self.stopped = False
+        self.source: RowSource | None = None
+        self.source_state: dict[str, int] | None = None
+        self.history: list[TrainingProgress] = []
+
+    def restore(self, output: str | Path) -> None:
+        """Continue from the checkpoint beside `output`."""
+        state = read_state(output, self.scene.content_hash, self.resume_settings)
+        for network in (self.learner.network, self.learner.model):
+            network.output_scale = float(state["output_scale"])
+        self.learner.restore(state["learner"])
+        self.generator.bit_generator.state = json.loads(state["generator"])
+        self.seconds, self.source_state = float(state["seconds"]), dict(state["source"])
+        self.history = [TrainingProgress(**report) for report in state["history"]]
+
+    def nothing_left(self, steps: int | None) -> bool:
+        """Whether a resumed run had the requested length."""
+        if steps is not None:
+            return self.learner.step >= steps
+        return self.budget is not None and self.budget.learning(self.seconds) <= 0.0
+
+    def state(self) -> dict[str, Any]:
+        """The checkpoint's content: plain values and tensors."""
+        assert self.source is not None
+        return {
+            "scene": self.scene.content_hash,
+            "begun": self.resume_settings,
+            "output_scale": self.learner.network.output_scale,
+            "learner": self.learner.state(),
+            "generator": json.dumps(self.generator.bit_generator.state),
+            "source": self.source.state(),
+            "seconds": self.seconds,
+            **({} if self.budget is None else {"spent": self.budget.spent}),
+            "history": [asdict(report) for report in self.history],
+        }
+
+    def learn(
+        self, steps: int | None, output: str | Path | None, progress: Progress | None, stop: Callable[[], bool]
+    ) -> None:
+        """Learn until the end of the run, or until it is stopped."""
+        device = self.learner.network.box_min.device.type
+        self.source = self.data.source(self.learning, self.learner.network, self.source_state)
+        threads_before = torch.get_num_threads()
+        threads = self.data.learner_threads(self.learning, device)
+        prefetching = 0 if self.synchronous or device != "cpu" else threads
+        prefetcher = Prefetcher(self.source, self.learner, self.generator, prefetching)
+        torch.set_num_threads(threads)
+        try:
+            with self.learner.stream():
+                self._learn(self.source, prefetcher, steps, output, progress, stop)
+        except KeyboardInterrupt:
+            if self.learner.step == 0:
+                raise
+            self.stopped = True
+        finally:
+            self.source.stop()
+            prefetcher.stop()
+            torch.set_num_threads(threads_before)
+
+    def _learn(
+        self,
+        source: RowSource,
+        prefetcher: Prefetcher,
+        steps: int | None,
+        output: str | Path | None,
+        progress: Progress | None,
+        stop: Callable[[], bool],
+    ) -> None:
+        before = self.seconds
+        if self.budget is not None:
+            self.length = before + self.budget.learning(before)
+        first, begun = True, time.perf_counter()
+        saved = begun
+        meter = Meter(source.statistics())
+        source.start()
+        meter.add_wait(meter.seconds)
+        self.part("learning", self.share(steps))
+        while (share := self.share(steps)) < 1.0:
+            if stop():
+                raise KeyboardInterrupt
+            requested = time.perf_counter()
+            batch, encoding = prefetcher.draw()
+            meter.add_wait(time.perf_counter() - requested)
+            meter.add_step(self.learner.learn(source, batch, share, self.generator, encoding), len(batch.rows))
+            if first and self.budget is not None:  # it has compiled and loaded kernels, which is not learning
+                begun = time.perf_counter()
+                self.length = before + self.budget.learning(before)
+            first = False
+            self.seconds = before + time.perf_counter() - begun
+            if meter.seconds > self.learning.report_every:
+                self._report(meter, self.share(steps), source, progress)
+                meter = Meter(source.statistics())
+            if output is not None and time.perf_counter() - saved > self.learning.checkpoint_every:
+                self.save(output)
+                saved = time.perf_counter()
+        self.learner.check(source)
+        if not meter.empty:
+            self._report(meter, 1.0, source, progress)
+
+    def share(self, steps: int | None) -> float:
+        """The share of the run that is over, by steps if given, else by time."""
+        if steps is not None:
+            return self.learner.step / steps
+        return self.seconds / self.length if self.length > 0.0 else 1.0
+
+    def _report(self, meter: Meter, share: float, source: RowSource, progress: Progress | None) -> None:
+        validation = self.reference.relative_rmse(self.learner.model)
+        consumed = self.learner.step * self.learning.batch
+        report = meter.progress(self.seconds, self.learner.step, share, consumed, source.statistics(), validation)
+        self.history.append(report)
+        if progress is not None:
+            progress(report)
+
+    def save(self, output: str | Path) -> None:
+        """Write the model and its checkpoint."""
+        assert self.source is not None
+        self.learner.check(self.source)
+        save_model(self.learner.model, output)
+        write_state(output, self.state())
+
+    def finish(self, output: str | Path | None) -> TrainableModel:
+        """Round the weights, measure the final errors unless the run was stopped, and write the model.
+
+        A KeyboardInterrupt ends the measurement alone.
+        """
+        assert self.source is not None
+        if output is not None:  # measuring takes long and may be interrupted
+            self.save(output)
+        network = self.learner.result()
+        training: dict[str, Any] = {
+            "seconds": self.seconds,
+            "steps": self.learner.step,
+            "walks": self.source.statistics().walks,
+            "seed": self.seed,
+            "learning": asdict(self.learning),
+            "precision": "bfloat16" if self.learner.bfloat16 else "float32",
+            "device": _name_of(network.box_min.device),
+            **self.data.description(),
+            "validation_vs_time": [
+                [report.seconds, report.walks, report.validation] for report in every_tenth(self.history)
+            ],
+            "validation_of": self.reference.quantity,
+        }
+        network.metadata["training"] = training
+        try:
+            training |= {} if self.stopped else self._errors(network)
+        except KeyboardInterrupt:
+            self.stopped = True
+        training["stopped"] = self.stopped
+        if output is not None:
+            save_model(network, output)
+        return network
+
+    def _errors(self, network: TrainableModel) -> dict[str, Any]:
+        """The final errors."""
+        seconds = math.inf if self.budget is None else self.budget.figures()
+        follow = partial(self.part, "final errors")
+        follow(0.0)
+        return self.data.errors(network, self.learning, seconds, follow)
+
+
+def _name_of(device: torch.device) -> str:
+    """The name of the GPU that learned, or "cpu"."""
+    return str(torch.cuda.get_device_name(device)) if device.type == "cuda" else device.type

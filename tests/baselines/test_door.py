@@ -1,0 +1,54 @@
+"""`prtbake train --baseline`, and the commands that take what it writes."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from formats.mesh import write_mesh
+from prt_bake.baselines import neumip_training
+from prt_bake.network.bssrdf import load_model
+from tests.baselines.shapes import ball_of_charts
+from tests.cli.command_line import Run
+from tests.trainer.small_training import SCENE
+
+
+@pytest.fixture
+def trained(prtbake: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A NeuMIP of a ball, after two steps."""
+    few = replace(neumip_training.LEARNING, batch=64, held_out_queries=16, held_out_walks=16)
+    monkeypatch.setattr(neumip_training, "LEARNING", few)
+    write_mesh(ball_of_charts(), tmp_path / "ball.obj")
+    (tmp_path / "ball.toml").write_text(SCENE.format(eta=1.0, roughness=0.0).replace("ball.ply", "ball.obj"))
+    monkeypatch.chdir(tmp_path)
+    run = prtbake(
+        "train", "ball.toml", "-o", "m.pt", "--baseline", "neumip", "--steps", 2, "--no-report", "--no-importance"
+    )
+    assert run.code == 0, run.err
+    assert "m.pt: 2 steps" in run.out
+    assert "next: prtbake bake m.pt ball.obj -o m.h5" in run.err + run.out
+    return tmp_path / "m.pt"
+
+
+def test_its_model_is_described_checked_baked_and_rendered(prtbake: Run, trained: Path) -> None:
+    assert load_model(trained).kind == "neumip"
+    described = prtbake("info", trained, "--all")
+    assert described.code == 0, described.err
+    assert "neumip" in described.out
+    assert prtbake("check", trained).code == 0
+    coarse = ("--rings", 1, "--sectors", 4, "--samples", 18)
+    baked = prtbake("bake", trained, "ball.obj", "-o", "m.h5", *coarse)
+    assert baked.code == 0, baked.err
+    shaded = prtbake("shade", "m.h5", "--light", "sun:0,1,0", "-o", "m.png", "--size", "16x16")
+    assert shaded.code == 0, shaded.err
+    rendered = prtbake(
+        "render", trained, "ball.obj", "--light", "sun:0,1,0", "-o", "r.png", "--size", "8x8", "--spp", 2
+    )
+    assert rendered.code == 0, rendered.err
+
+
+def test_an_unknown_baseline_names_those_that_exist(prtbake: Run, trained: Path) -> None:
+    run = prtbake("train", "ball.toml", "-o", "n.pt", "--baseline", "neumop", "--steps", 2)
+    assert run.code == 1
+    assert "baseline: expected one of neumip, neumip-log" in run.err
+    assert "found 'neumop'" in run.err
