@@ -51,7 +51,8 @@ static inline const char *prt_load(prt_asset *a, hid_t file) {
     if (file < 0) return "is missing, truncated or not HDF5";
     if (!prt_begins(file, "/", "format", "prtbake")) return "is not an asset of prtbake";
     if (!prt_begins(file, "/", "format_version", "1.")) return "has another format_version than 1.x; copy the newer prtbake.h";
-    if (H5Lexists(file, "transfer_compact", H5P_DEFAULT) > 0) return "is compact: unpack it with prt.unpacked first";
+    if (H5Lexists(file, "transfer_compact", H5P_DEFAULT) > 0) return "is compact; unpack it: "
+        "python3 -c \"import prt_bake as p; p.write_asset(p.unpacked(p.read_asset('COMPACT.h5')), 'PLAIN.h5')\"";
     int known = prt_attribute(file, "bins", "rings", H5T_NATIVE_INT, 1, &a->rings) &&
                 prt_attribute(file, "bins", "sectors", H5T_NATIVE_INT, 1, &a->sectors) &&
                 prt_attribute(file, "basis", "degree", H5T_NATIVE_INT, 1, &a->degree) &&

@@ -1,6 +1,7 @@
 // prtbake.hlsl: the radiance of a baked object, for Direct3D, Unity and Unreal. Test and uses: README.md beside it.
 //     L(v, ωo) = max(0, Σ_r Y_r(ωo) Σ_k A[v,r,k] b[k])
 // Directions are unit vectors in object space. b [PRT_K] are the harmonics of the light's radiance.
+// prt_to_object: for a stretched or sheared node pass the transposed inverse of its 3×3 matrix, as for normals.
 // Define before it, as X.json says: PRT_VIEW_DEGREE ("view_degree"), PRT_LIGHT_DEGREE ("light_degree"). If A is not
 // the texture X.exr, also PRT_SOURCE, the type of what holds it, PRT_VERTEX, the type that names a vertex, and
 // PRT_FETCH(source, vertex, i), its float3 A with i = r·K + k.

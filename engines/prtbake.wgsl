@@ -1,6 +1,7 @@
 // prtbake.wgsl: the radiance of a baked object, for WebGPU. Test and uses: README.md beside it.
 //     L(v, ωo) = max(0, Σ_r Y_r(ωo) Σ_k A[v,r,k] b[k])
 // Directions are unit vectors in object space. b [PRT_K] are the harmonics of the light's radiance.
+// prt_to_object: for a stretched or sheared node pass the transposed inverse of its 3×3 matrix, as for normals.
 // The module that contains it declares what X.json and its own bindings say:
 //     const PRT_VIEW_DEGREE = 3;   // "view_degree"
 //     const PRT_LIGHT_DEGREE = 2;  // "light_degree"
@@ -36,8 +37,7 @@ fn prt_harmonics(d: vec3f) -> array<f32, PRT_COUNT> {
   return Y;
 }
 
-// outgoing: from the vertex to the eye.
-fn prt_radiance(vertex: u32, outgoing: vec3f, b: array<vec3f, PRT_K>) -> vec3f {
+fn prt_radiance(vertex: u32, outgoing: vec3f, b: array<vec3f, PRT_K>) -> vec3f {  // outgoing: to the eye
   var light = b;
   var Y = prt_harmonics(outgoing);
   var radiance = vec3f();

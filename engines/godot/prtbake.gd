@@ -1,4 +1,4 @@
-## Shows a file of `prtbake export ASSET -o X.glb` and lights it. The node may be moved, turned and scaled uniformly.
+## Shows a file of `prtbake export ASSET -o X.glb` and lights it. The node may be moved, turned, mirrored and scaled uniformly.
 extends Node3D
 
 const File := preload("prtbake_file.gd")

@@ -21,7 +21,7 @@ static func read(path: String) -> Node:
 static func _material(state: GLTFState, index: int, mesh: Mesh, about: Dictionary) -> ShaderMaterial:
 	var primitives: Array = state.json["meshes"][index]["primitives"]
 	var size := Vector2i(about["texels"]["width"], about["texels"]["height"])
-	var words := 1 if about["quantize"] == "int8" else 3 # of 4 bytes, for each vertex
+	var words := 1 if about.get("quantize") == "int8" else 3 # of 4 bytes, for each vertex
 	var degree := int(about["view_degree"])
 	var columns := 1 if about["quantity"] == "radiance" else int((about["light_degree"] + 1) ** 2)
 	var texels: Array[PackedInt32Array] = [] # of the vertices of each surface

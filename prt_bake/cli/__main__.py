@@ -8,13 +8,14 @@ from prt_bake.cli.shared import signals
 
 
 def run() -> None:
-    """Run the command line. After Ctrl-C, errors of libraries whose import it broke off are not shown."""
+    """Run the command line. After Ctrl-C or SIGTERM, errors of libraries whose import it broke off are not shown."""
 
     def interrupt(number: int, _: object) -> None:
         signals.record(number)
         raise KeyboardInterrupt
 
-    signal.signal(signal.SIGINT, interrupt)
+    for number in signals.STOPPING:
+        signal.signal(number, interrupt)  # temporary files are removed as the exception passes
     try:
         from prt_bake.cli.main import main
 
@@ -22,7 +23,7 @@ def run() -> None:
     except BaseException:
         if not signals.exit_code(0):
             raise
-        print("prtbake: stopped by Ctrl-C before it was finished", file=sys.stderr)
+        print(f"prtbake: {signals.sentence()}", file=sys.stderr)
         code = signals.exit_code(1)
     gc.freeze()  # Python searches all objects for cycles when it ends, which takes seconds
     sys.exit(code)

@@ -116,7 +116,7 @@ def _run(command_line: list[str], typed: str) -> int:
     except SystemExit as ending:
         if ending.code != INTERRUPTED:
             return int(ending.code or 0)
-        _print_line("stopped by Ctrl-C before it was finished")
+        _print_line(signals.sentence())
         return INTERRUPTED
     except PrtbakeError as error:
         error_detail()

@@ -246,7 +246,7 @@ def _show(window: Any, plotter: Any, opened: _Opened, name: str, screenshot: Pat
         shown = window.Window(scene_view, name, None if compare is None else compare.name)
         shown.run()
         if shown.interrupted:
-            signals.record(signal.SIGINT)
+            signals.record(shown.interrupted)
     plotter.close()
 
 

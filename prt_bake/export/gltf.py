@@ -15,7 +15,7 @@ from prt_bake.export.engine_errors import FormError, degree_for, form_error
 from prt_bake.export.engine_form import DEFAULT_DEGREE, engine_form
 from prt_bake.export.extras import StatedLight, extras, texel_coordinates
 from prt_bake.export.glb import Buffer, write_glb
-from prt_bake.export.quantization import dequantized, in_halves, quantized
+from prt_bake.export.quantization import dequantized, in_halves, quantized, warn_of_bright_vertices
 from prt_bake.lights.environment import project, read_environment
 from prt_bake.shading.vertices import light_coefficients
 from prt_bake.shipped.examples import example
@@ -44,7 +44,8 @@ def export_gltf(
         path: the file to write.
         degree: of the harmonics of the view, 0 to 8; 3 by default.
         error: chooses the least degree whose coefficients are within this relative RMSE, in place of `degree`.
-        quantize: "int8" stores 8 bits for each number, a third of the size; Blender does not import them.
+        quantize: "int8" stores 8 bits for each number, a third of the size; Blender does not import them. An
+            InputWarning says if a few bright vertices take these bits from the others.
         light: [K,3], coefficients of a light to fold in; None keeps every light.
         light_name: stated in the file.
         onto: the `.glb` file that was baked. It is written to `path` as it is, with the attributes added to its meshes.
@@ -87,7 +88,9 @@ def prepare_export(
         degree = degree_for(asset, error, into)
     form = engine_form(asset, DEFAULT_DEGREE if degree is None else degree, into)
     codes = quantized(form) if quantize else None
-    form = form if codes is None else dequantized(form, codes)
+    if codes is not None:
+        exact, form = form, dequantized(form, codes)
+        warn_of_bright_vertices(exact, form)
     form = in_halves(form) if halves else form
     measured = form_error(asset, form, light.coefficients, into)
     entries = extras(asset, form, measured, light)

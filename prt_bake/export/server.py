@@ -54,6 +54,12 @@ class PageServer(ThreadingHTTPServer):
         """The address of the page."""
         return f"http://{_ADDRESS}:{self.server_port}/"
 
+    @property
+    def hosts(self) -> set[str]:
+        """The hosts of requests that are answered; browsers leave port 80 out."""
+        names = {_ADDRESS, "localhost"}
+        return {f"{name}:{self.server_port}" for name in names} | (names if self.server_port == 80 else set())
+
     def handle_error(self, request: object, client_address: object) -> None:
         """Say nothing of a browser that closed its connection; other errors keep their traceback."""
         if not isinstance(sys.exc_info()[1], ConnectionError):
@@ -63,6 +69,16 @@ class PageServer(ThreadingHTTPServer):
 class _Handler(BaseHTTPRequestHandler):
     server: PageServer
     protocol_version = "HTTP/1.1"
+
+    def parse_request(self) -> bool:
+        """Refuse what was sent to another host: a page of the web whose name is resolved to this machine."""
+        if not super().parse_request():
+            return False
+        host = self.headers.get("Host", "").lower()
+        if host in self.server.hosts:
+            return True
+        self.send_error(HTTPStatus.MISDIRECTED_REQUEST, explain=f"expected {self.server.address}, found host {host!a}")
+        return False
 
     def do_GET(self) -> None:
         self._answer(with_content=True)

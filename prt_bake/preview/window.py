@@ -57,16 +57,16 @@ class Window:
         self._legend = self._saving = self._loading = False
         self._message_time = -math.inf
         self._scale: Scale | None = None
-        self._interrupted: Callable[[], bool] = lambda: False
+        self._interrupted: Callable[[], int] = lambda: 0
         self._destroyed: Callable[[], bool] = lambda: False
-        self.interrupted = False
+        self.interrupted = 0
         self._connect()
         self.rotation = self._slider((-180.0, 180.0), 0, self._preview.rotate_to)
         self.exposure = self._slider((-SLIDER_EXPOSURE, SLIDER_EXPOSURE), 1, self._preview.set_exposure)
         self._update_texts()
 
     def run(self) -> None:
-        """Show the window until the user closes it or presses Ctrl-C, which sets `interrupted`."""
+        """Show the window until the user closes it, or a signal, whose number `interrupted` is then."""
         # A KeyboardInterrupt inside VTK's event loop would end the process with VTK's own message.
         with interrupt_flag() as self._interrupted, watching_for_destruction(self.plotter) as self._destroyed:
             self.plotter.iren.initialize()

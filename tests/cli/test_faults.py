@@ -4,7 +4,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ import pytest
 from formats.asset import read_asset
 from formats.image import write_image
 from prt_bake.cli.__main__ import run
+from prt_bake.cli.shared import signals
 from tests.cli.command_line import SCENE, Outcome, Run
 
 Write = Callable[[Path, Path], object]
@@ -254,8 +255,49 @@ def test_a_threading_layer_that_cannot_be_loaded_is_one_sentence(folder: Path, t
     assert "Traceback" not in ran.stderr
 
 
+@pytest.fixture
+def run_command(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., object]]:
+    """Run a command line as the console script does, and return its exit code."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def run_it(*arguments: object) -> object:
+        monkeypatch.setattr(sys, "argv", ["prtbake", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ending:
+            run()
+        return ending.value.code
+
+    yield run_it
+    signals.forget()
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("name", ["a.glb", "a.exr", "site"])
+def test_an_export_that_is_terminated_leaves_nothing(
+    folder: Path,
+    tmp_path: Path,
+    run_command: Callable[..., object],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    name: str,
+) -> None:
+    def terminated(*_: object) -> None:
+        if any((tmp_path / "out").iterdir()):
+            signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr("formats.atomic._flush", terminated)
+    monkeypatch.setattr("shutil.copyfile", terminated)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "page/vendor").mkdir(parents=True)
+    (tmp_path / "page/vendor/VERSIONS").write_text("")
+    monkeypatch.setattr("prt_bake.export.site.PAGE", tmp_path / "page")
+    assert run_command("export", folder / "asset.h5", "-o", tmp_path / "out" / name) == 143
+    assert list((tmp_path / "out").iterdir()) == []
+    assert capsys.readouterr().err.splitlines()[-1] == "prtbake: stopped by SIGTERM before it was finished"
+
+
 def test_an_error_after_ctrl_c_is_the_sentence_of_ctrl_c(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    run_command: Callable[..., object], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Some imports turn an interrupt into another error."""
 
@@ -267,10 +309,5 @@ def test_an_error_after_ctrl_c_is_the_sentence_of_ctrl_c(
         return 0
 
     monkeypatch.setattr("prt_bake.cli.main.main", broken)
-    handler = signal.getsignal(signal.SIGINT)
-    try:
-        with pytest.raises(SystemExit, match="130"):
-            run()
-    finally:
-        signal.signal(signal.SIGINT, handler)
+    assert run_command() == 130
     assert capsys.readouterr().err == "prtbake: stopped by Ctrl-C before it was finished\n"

@@ -16,6 +16,7 @@ func _picture(job: Dictionary) -> String:
 	var camera: Camera3D = main.get_node("Camera")
 	object.file = job["glb"]
 	object.rotation_degrees.y = job["turn"]
+	object.scale.z = -1.0 if job["mirrored"] else 1.0
 	for row: Array in job["sky"]:
 		object.sky.append(_vector(row))
 	if job["sun"]:

@@ -22,26 +22,35 @@ IRRADIANCE = [3.0, 2.7, 2.1]
 
 @dataclass(frozen=True)
 class Situation:
-    """An asset under a light. turn: degrees of the object, sky_turn: of the sky, both about the up axis."""
+    """An asset under a light. turn: degrees of the object, sky_turn: of the sky, both about the up axis. mirrored: the
+    object, y up, along z before it is turned.
+    """
 
     asset: Asset
     light: str
     turn: float = 0.0
     sky_turn: float = 0.0
+    mirrored: bool = False
 
     @property
     def camera(self) -> prt.Camera:
         return prt.fit_camera(self.asset.mesh, PIXELS, PIXELS, up=self.asset.up)
 
     def picture(self, sky: Path) -> Picture:
-        """The picture by the product: object at rest, camera and light turned backwards."""
-        camera, back = self.camera, rotation(-self.turn, self.asset.up)
+        """The picture by the product: object at rest, camera and light turned, and mirrored, backwards."""
+        mirror = np.diag([1.0, 1.0, -1.0 if self.mirrored else 1.0])
+        camera, back = self.camera, mirror @ rotation(-self.turn, self.asset.up)
         camera = replace(camera, eye=back @ camera.eye, target=back @ camera.target)
-        words = f"sun:{','.join(map(str, SUN[self.asset.up]))}:{','.join(map(str, IRRADIANCE))}"
+        words = f"sun:{','.join(map(str, mirror @ SUN[self.asset.up]))}:{','.join(map(str, IRRADIANCE))}"
         light = words if self.light == "sun" else str(sky)
         rotate = 0.0 if self.light == "file" else self.sky_turn - self.turn  # the file's light turns with the object
-        lighting = prt.read_lighting(light, up=self.asset.up, rotate=rotate)
-        return prt.render_picture(self.asset, lighting, camera, samples=4, suns="plain", background=False)
+        lighting = prt.read_lighting(light, up=self.asset.up, rotate=-rotate if self.mirrored else rotate)
+        if self.mirrored and self.light == "sky":
+            lighting = replace(lighting, skies=[replace(one, image=one.image[:, ::-1]) for one in lighting.skies])
+        picture = prt.render_picture(self.asset, lighting, camera, samples=4, suns="plain", background=False)
+        if not self.mirrored:
+            return picture
+        return replace(picture, image=picture.image[:, ::-1], coverage=picture.coverage[:, ::-1])
 
 
 def relative_rms(found: np.ndarray, picture: Picture) -> float:

@@ -1,8 +1,10 @@
 """`engines/prtbake.h` in C and C++: the self-test, the radiance of `prt.shade`, and a sentence for each bad file."""
 
+import os
 import re
 import shlex
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -230,7 +232,11 @@ def test_a_compact_asset_is_refused(example: Path, small: bytes, tmp_path: Path)
     prt.write_asset(prt.compress(prt.read_asset(tmp_path / "a.h5"), 0.05), tmp_path / "compact.h5")
     done = subprocess.run([example, tmp_path / "compact.h5"], capture_output=True, text=True, check=False)
     assert done.returncode == 1
-    assert "is compact: unpack it with prt.unpacked" in done.stderr
+    sentence, code = done.stderr.strip().split('python3 -c "')
+    assert sentence == f"{tmp_path}/compact.h5 is compact; unpack it: "
+    code = code.removesuffix('"').replace("COMPACT.h5", "compact.h5")
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)}, check=True)
+    subprocess.run([example, tmp_path / "PLAIN.h5"], capture_output=True, check=True)
 
 
 def test_an_asset_without_a_self_test_has_no_result(eyes: Path, small: bytes, tmp_path: Path) -> None:

@@ -94,6 +94,7 @@ def job_of(situation: Situation, glb: str, sky: Path) -> dict[str, Any]:
     return {
         "glb": f"res://{glb}",
         "turn": situation.turn,
+        "mirrored": situation.mirrored,
         "eye": (scale * to_godot @ camera.eye).tolist(),
         "target": (scale * to_godot @ camera.target).tolist(),
         "fov": camera.fov,
@@ -104,7 +105,7 @@ def job_of(situation: Situation, glb: str, sky: Path) -> dict[str, Any]:
     }
 
 
-CASES = [  # asset, light, turn of the object, turn of the sky, form
+CASES = [  # asset, light, turn of the object, turn of the sky, form, perhaps mirrored
     ("y", "file", 150.0, 0.0, "float"),
     ("y", "sun", 40.0, 0.0, "float"),
     ("y", "sky", 40.0, 75.0, "float"),
@@ -115,6 +116,9 @@ CASES = [  # asset, light, turn of the object, turn of the sky, form
     ("onto", "sky", 40.0, 75.0, "float"),
     ("z", "sun", 40.0, 0.0, "int8"),
     ("z", "sky", 40.0, 75.0, "float"),
+    ("y", "file", 40.0, 0.0, "float", True),
+    ("y", "sun", 40.0, 0.0, "float", True),
+    ("y", "sky", 40.0, 75.0, "int8", True),
 ]
 
 
@@ -133,7 +137,9 @@ def test_pictures(run_node: RunNode, tmp_path: Path) -> None:
     for form in ("float", "int8"):
         order = run_node("reordered.mjs", tmp_path / f"y.{form}.glb", tmp_path / f"y.{form}.reordered.glb")
         assert order["before"] != order["after"]
-    situations = [Situation(assets[name], light, turn, sky_turn) for name, light, turn, sky_turn, _ in CASES]
+    situations = [
+        Situation(assets[name], light, turn, sky_turn, *mirrored) for name, light, turn, sky_turn, _, *mirrored in CASES
+    ]
     jobs = [
         job_of(situation, f"{case[0]}.{case[4]}.glb", sky) for case, situation in zip(CASES, situations, strict=True)
     ]

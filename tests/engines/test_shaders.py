@@ -32,6 +32,7 @@ class Scene:
     view_degree: int
     light_degree: int
     mirrored: bool = False
+    stretched: bool = False
 
     @property
     def R(self) -> int:
@@ -62,7 +63,8 @@ class Scene:
         turn = np.linalg.qr(self._random(3).normal(size=(3, 3)))[0]
         turn *= np.sign(np.linalg.det(turn)) * (-1 if self.mirrored else 1)
         matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = 0.01 * turn, (1, 2, 3)
+        stretch = [[1, 0.5, 0], [0, 2, 0], [0, 0, 0.7]] if self.stretched else np.eye(3)
+        matrix[:3, :3], matrix[:3, 3] = 0.01 * turn @ stretch, (1, 2, 3)
         return matrix
 
     eye = np.array([1.5, 2.25, 3.125])
@@ -230,8 +232,8 @@ def in_browser(run_node: RunNode, folder: Path, jobs: list[dict[str, Any]], *opt
     return [np.array(one).reshape(-1, 3) for one in run_node("browser.mjs", *options, folder, "index.html")]
 
 
-def compare(found: list[NDArray[np.float64]]) -> None:
-    for radiance, scene in zip(found, SCENES, strict=True):
+def compare(found: list[NDArray[np.float64]], scenes: list[Scene] = SCENES) -> None:
+    for radiance, scene in zip(found, scenes, strict=True):
         off = np.abs(radiance - scene.radiance).max() / scene.radiance.max()
         assert off < TOLERANCE, scene
 
@@ -239,6 +241,15 @@ def compare(found: list[NDArray[np.float64]]) -> None:
 @pytest.mark.usefixtures("chromium")
 def test_glsl_gives_the_radiance(run_node: RunNode, tmp_path: Path) -> None:
     compare(in_browser(run_node, tmp_path, [glsl_job(scene) for scene in SCENES]))
+
+
+@pytest.mark.usefixtures("chromium")
+def test_a_stretched_node_takes_the_transposed_inverse(run_node: RunNode, tmp_path: Path) -> None:
+    scene = Scene(3, 2, stretched=True)
+    job = glsl_job(scene)
+    shader, count = re.subn(r"(?<=prt_to_object\()mat3\(object_to_world\)", r"transpose(inverse(\g<0>))", job["shader"])
+    assert count == 2
+    compare(in_browser(run_node, tmp_path, [job | {"shader": shader}]), [scene])
 
 
 @pytest.mark.usefixtures("chromium")

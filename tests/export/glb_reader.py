@@ -31,7 +31,7 @@ def read_glb(path: Path) -> Read:
     name = extras["attributes"]
     stored = np.stack([[attributes[name.format(r=r, k=k)] for k in range(columns)] for r in range(rows)])  # [R,K,V,3]
     coefficients = stored.transpose(2, 0, 1, 3).astype(np.float64)
-    if extras["quantize"]:
+    if extras.get("quantize"):
         coefficients = np.maximum(coefficients / 127, -1) * np.array(extras["scales"])
     return Read(document, attributes, coefficients, extras)
 

@@ -1,4 +1,5 @@
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -189,6 +190,35 @@ def test_eight_bits_add_less_than_the_fit() -> None:
     assert np.abs(stored.codes.astype(int)).max() == 127
     read = dequantized(form, stored)
     assert (np.abs(read.coefficients - form.coefficients) <= stored.scales / 127 * 0.501).all()
+
+
+def brightened(factors: dict[int, float]) -> prt.Asset:
+    asset = smooth_asset()
+    values = np.array(asset.coefficients)
+    for vertex, factor in factors.items():
+        values[vertex] *= factor
+    return dataclasses.replace(asset, coefficients=values)
+
+
+@pytest.mark.parametrize("factor", [10.0, 1e4])
+def test_a_bright_vertex_that_takes_the_bits_of_the_others_is_named(tmp_path: Path, factor: float) -> None:
+    asset = brightened({7: factor})
+    with pytest.warns(prt.InputWarning, match=r"8 bits alone are .* off .*: vertex 7 with up to .*export"):
+        prt.export_gltf(asset, tmp_path / "x.glb", quantize="int8")
+    prt.export_gltf(asset, tmp_path / "x.glb")
+
+
+def test_the_warning_names_three_of_several_bright_vertices(tmp_path: Path) -> None:
+    with pytest.warns(prt.InputWarning, match="5 vertices 9, 8, 7, … with up to"):
+        prt.export_gltf(brightened({v: 10.0**v for v in range(5, 10)}), tmp_path / "x.glb", quantize="int8")
+
+
+def test_8_bits_of_a_usual_asset_are_no_warning(tmp_path: Path) -> None:
+    usual = smooth_asset()
+    for asset in (usual, brightened({7: 3.0}), brightened(dict.fromkeys(range(100), 0.0))):
+        prt.export_gltf(asset, tmp_path / "x.glb", quantize="int8")  # warnings are errors
+    dark = dataclasses.replace(usual, coefficients=np.zeros_like(usual.coefficients))
+    prt.export_gltf(dark, tmp_path / "x.glb", quantize="int8")
 
 
 @pytest.mark.parametrize("degree", [-1, 9])

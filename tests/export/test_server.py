@@ -84,11 +84,44 @@ def test_other_machines_are_not_answered() -> None:
         assert closed.socket.getsockname()[0] == "127.0.0.1"
 
 
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [
+        ("127.0.0.1:{}", 200),
+        ("LocalHost:{}", 200),
+        ("localhost", 421),
+        ("127.0.0.1:1", 421),
+        ("example.org:{}", 421),
+        ("127.0.0.1:{}.example.org", 421),
+        ("", 421),
+        (None, 421),
+    ],
+)
+@pytest.mark.parametrize("method", ["GET", "HEAD"])
+def test_requests_to_another_host_are_refused(server: PageServer, method: str, host: str | None, status: int) -> None:
+    connection = HTTPConnection("127.0.0.1", server.server_port)
+    connection.putrequest(method, "/view.js", skip_host=True)
+    if host is not None:
+        connection.putheader("Host", host.format(server.server_port))
+    connection.endheaders()
+    found = connection.getresponse()
+    content = found.read()
+    connection.close()
+    assert found.status == status
+    if method == "GET":
+        assert content == b"1;" if status == 200 else server.address.encode() in content
+
+
+def test_port_80_is_left_out_of_hosts(server: PageServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "server_port", 80)
+    assert {"localhost", "127.0.0.1", "localhost:80"} < server.hosts
+
+
 def test_a_browser_that_leaves_is_no_error(server: PageServer, capsys: pytest.CaptureFixture[str]) -> None:
     server.files = {"large": bytes(1 << 25)}
     with socket.create_connection(("127.0.0.1", server.server_port)) as left:
-        left.sendall(b"GET /large HTTP/1.1\r\n\r\n")
-        left.recv(10)
+        left.sendall(b"GET /large HTTP/1.1\r\nHost: localhost:%d\r\n\r\n" % server.server_port)
+        assert left.recv(12) == b"HTTP/1.1 200"
     server.files = {"index.html": b"<p>"}
     assert answer(server, "")[1] == b"<p>"
     assert capsys.readouterr().err == ""

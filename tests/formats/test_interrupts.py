@@ -1,4 +1,4 @@
-"""Ctrl-C is deferred to the end of a block, or sets a flag."""
+"""Ctrl-C and SIGTERM are deferred to the end of a block, or set a flag."""
 
 import signal
 import threading
@@ -23,16 +23,17 @@ def test_an_interrupt_waits_for_the_end_of_the_block():
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_the_previous_handler_receives_the_deferred_interrupt():
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_previous_handler_receives_the_deferred_interrupt(number: signal.Signals):
     seen = []
-    before = signal.signal(signal.SIGINT, lambda number, frame: seen.append(number))
+    before = signal.signal(number, lambda number, frame: seen.append(number))
     try:
         with deferred():
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(number)
             assert seen == []
-        assert seen == [signal.SIGINT]
+        assert seen == [number]
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(number, before)
 
 
 def test_deferred_does_nothing_in_other_threads():
@@ -48,11 +49,13 @@ def test_deferred_does_nothing_in_other_threads():
     assert reached == [signal.default_int_handler]
 
 
-def test_an_interrupt_sets_the_flag_and_stops_nothing():
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_sets_the_flag_and_stops_nothing(number: signal.Signals):
     with interrupt_flag() as interrupted:
         assert not interrupted()
-        signal.raise_signal(signal.SIGINT)
-        assert interrupted()
+        signal.raise_signal(number)
+        assert interrupted() == number
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 

@@ -365,7 +365,7 @@ def test_ctrl_c_closes_the_window_without_an_exception(opened, monkeypatch) -> N
     monkeypatch.setattr(opened.plotter, "show", show)
     opened.run()
     assert ended == [True]
-    assert opened.interrupted
+    assert opened.interrupted == signal.SIGINT
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 

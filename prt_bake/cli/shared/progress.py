@@ -154,7 +154,7 @@ def stopping() -> Iterator[Stop]:
             raise KeyboardInterrupt
         say("stopping after the current step; press Ctrl-C again to stop at once")
 
-    previous = {number: signal.signal(number, request) for number in (signal.SIGINT, signal.SIGTERM)}
+    previous = {number: signal.signal(number, request) for number in signals.STOPPING}
     try:
         yield stop
     finally:
