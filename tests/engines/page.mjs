@@ -32,7 +32,7 @@ const STEPS = {
     const found = await model.read(...eye.map((value, i) => value - model.record.origin[i]), 1);
     return Array.from(found, (value) => Math.max(0, value));
   }, eye, light),
-  /** A picture of a camera { eye, target, up, fov, width, height }: linear RGBA, rows from the top. */
+  /** A picture of a camera { eye, target, up, fov, width, height }, under a light [K·3] or what is shown: linear RGBA, rows from the top. */
   picture: async (page, camera, light) => {
     const rows = await page.evaluate(async ({ eye, target, up, fov, width, height }, light) => {
       const THREE = await import("three"), { model, renderer, scene, backend } = window.prtbake;
@@ -41,7 +41,9 @@ const STEPS = {
       const view = new THREE.PerspectiveCamera(fov, width / height, radius / 100, 100 * radius);
       view.up.set(...up), view.position.copy(place(eye)), view.lookAt(place(target));
       const into = new THREE.RenderTarget(width, height, { type: THREE.FloatType });
-      model.setLight(light), (model.exposure.value = 1), model.eye.value.set(...view.position, 1);
+      while (window.prtbake.busy()) await new Promise(requestAnimationFrame);
+      if (light) model.setLight(light);
+      (model.exposure.value = 1), model.eye.value.set(...view.position, 1);
       model.draw(into, () => renderer.render(scene, view));
       const pixels = await renderer.readRenderTargetPixelsAsync(into, 0, 0, width, height), rows = [];
       for (let y = 0; y < height; y++) rows.push(Array.from(pixels.subarray(4 * width * y, 4 * width * (y + 1))));
@@ -49,6 +51,11 @@ const STEPS = {
     }, camera, light);
     return rows;
   },
+  /** Press an element, `times` times at once. */
+  press: (page, selector, times) => page.$eval(selector, (one, times) => {
+    for (let i = 0; i < times; i++) one.click();
+  }, times),
+  visible: (page, selector) => page.$eval(selector, (one) => one.checkVisibility()),
   work: (page) => page.evaluate(() => window.prtbake.work),
   /** The light [K·3] of object space that the page shows. */
   coefficients: (page) => page.evaluate(async () => {

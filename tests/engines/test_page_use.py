@@ -104,7 +104,8 @@ def test_next_object_and_dropped_files(run_node: RunNode, site: Path, files: Pat
     assert first["name"] == second["name"] == "asset"
     assert first["error"] != second["error"]
     assert "this form adds" in second["error"]
-    assert "reflected at the surface" in first["leftOut"]
+    assert first["leftOut"] == "Light is 9 coefficients, so narrow light looks soft."
+    assert second["leftOut"].startswith("Not shown: suns shaded apart. ")
     assert dropped["name"] == "dropped.h5"
     assert "4 coefficients" in dropped["leftOut"]
     assert lit["light"] == "evening.hdr"
@@ -123,6 +124,10 @@ def other_format(path: Path) -> None:
 
 def cut(path: Path) -> None:
     os.truncate(path, path.stat().st_size * 2 // 3)
+
+
+def cut_in_header(path: Path) -> None:
+    os.truncate(path, path.read_bytes().index(b"-Y") + 4)
 
 
 def rewritten(path: Path, change: Any) -> None:
@@ -181,6 +186,7 @@ def not_finite(path: Path) -> None:
             "asset.glb has no data of prtbake; if another program wrote it, export again.",
         ),
         ("asset.glb", without_attributes, "asset.glb has lost _PRT_2_1 in another program; export it again."),
+        ("sky.hdr", cut_in_header, "sky.hdr is truncated in its header; copy it again."),
         ("sky.hdr", cut, r"sky.hdr is truncated in row \d+ of 256; copy it again."),
         ("sky.hdr", xyz, "sky.hdr is stored in an unusual order or in XYZ; save it again as RGBE."),
         (
@@ -262,7 +268,7 @@ def test_what_an_asset_leaves_out_is_named(run_node: RunNode, files: Path, tmp_p
         file.attrs["complete"] = np.uint8(0)
     site = make_site(tmp_path / "site", [tmp_path / "one_eye.h5", tmp_path / "partial.h5"])
     one_eye, partial = states(run_node, site, ["click", "#next"])
-    assert one_eye["leftOut"].startswith("Not shown: light reflected at the surface, other views.")
+    assert one_eye["leftOut"].startswith("Not shown: other views. ")
     assert "vertices not baked yet, which are black." in partial["leftOut"]
 
 
@@ -276,11 +282,24 @@ def test_a_sky_for_an_object_of_one_light_waits_for_the_next(run_node: RunNode, 
     assert (lit["message"], lit["light"]) == ("", "evening.hdr")
 
 
-def test_a_damaged_list_of_objects(run_node: RunNode, site: Path, files: Path) -> None:
-    (site / "site.json").write_text("{")
+@pytest.mark.parametrize("content", ["{", "null"])
+def test_a_damaged_list_of_objects(content: str, run_node: RunNode, site: Path, files: Path) -> None:
+    (site / "site.json").write_text(content)
     damaged, dropped = states(run_node, site, ["drop", str(files / "asset.glb")])
     assert damaged["message"] == "site.json is damaged; export the page again."
     assert (dropped["message"], dropped["name"], dropped["light"]) == ("", "asset.glb", "sun")
+
+
+def test_of_two_objects_opened_at_once_the_last_one_stays(run_node: RunNode, site: Path, files: Path) -> None:
+    """The first one arrives later."""
+    (site / "asset.glb").write_bytes((files / "asset.glb").read_bytes())
+    slow = "const now = window.fetch; window.fetch = async (name) => {"
+    slow += ' if (name === "asset.glb") await new Promise((done) => setTimeout(done, 3000)); return now(name); };'
+    both = [["press", "#next", 2], ["wait", 8000], ["rest"], ["state"]]
+    first, last = (
+        found for found in drive(run_node, site, [["ready"], ["state"], *both], before=slow, **WEBGL) if found
+    )
+    assert (last["message"], last["error"]) == ("", first["error"])
 
 
 @pytest.mark.parametrize("number", ["-1", "three"])

@@ -47,17 +47,19 @@ function readRecord(reader) {
   if (!/^1\./.test(version)) throw new Failure(`has version ${version} of the format, and this page reads 1.x; export a newer page.`);
   const group = shape("/transfer_compact/digits_0") ? "/transfer_compact" : "/transfer", sectors = attribute("/bins", "sectors");
   const [positions, normals, tangents, faces] = ["positions", "normals", "tangents", "faces"].map((name) => read(`/mesh/${name}`));
-  const [light, vertex, outgoing, radiance] = ["light", "vertex", "outgoing", "radiance"].map((name) => (shape("/selftest/light") ? read(`/selftest/${name}`) : []));
-  const bake = JSON.parse(reader.text("/provenance/json") ?? "{}").estimated_relative_rmse?.total;
-  const missing = ["light reflected at the surface", ...JSON.parse(attribute("/", "left_out") ?? "[]").map(({ item }) => item)];
+  const tested = (name) => (shape("/selftest/light") ? read(`/selftest/${name}`) : []);
+  const [light, vertex, outgoing, radiance] = ["light", "vertex", "outgoing", "radiance"].map(tested);
+  const { eta = 1, roughness, model, estimated_relative_rmse: bake } = JSON.parse(reader.text("/provenance/json") ?? "{}");
+  const missing = [...JSON.parse(attribute("/", "left_out") ?? "[]").map(({ item }) => item)];
   if (shape("/lobes/axes")) missing.push("lobes");
   if (!attribute("/", "complete")) missing.push("vertices not baked yet, which are black");
-  const error = [["network", attribute("/", "network_error")?.[0]], ["bake", bake]];
+  const error = [["network", attribute("/", "network_error")?.[0]], ["bake", bake?.total]];
   return {
     positions, normals, tangents, faces, origin: attribute("/mesh/positions", "origin"), up: attribute("/", "up"),
     valid: shape(`${group}/valid`) && read(`${group}/valid`), quantity: attribute(group, "quantity"),
     error: error.map(([name, value]) => `${name} ${value > 0 ? `${(100 * value).toPrecision(2)} %` : "unknown"}`).join(", "),
-    missing, selftest: { light, vertex, outgoing, radiance }, rings: attribute("/bins", "rings"), sectors,
+    missing, eta, roughness: roughness ?? model?.roughness ?? 0,
+    selftest: { light, vertex, outgoing, radiance }, rings: attribute("/bins", "rings"), sectors,
     ...(group === "/transfer" ? plainData : compactData)(reader, sectors),
   };
 }

@@ -1,6 +1,5 @@
 // Light as coefficients of real spherical harmonics: orthonormal, index l(l+1)+m, no Condon-Shortley phase.
 // Skies and suns are in the polar frame (z up, azimuth from x to y); `turned` brings them into object space.
-import { Failure } from "./sky.js";
 const NUMBERS = { mul: (a, b) => a * b, add: (a, b) => a + b };
 const GAUSS = [[-0.9061798459386640, 0.2369268850561891], [-0.5384693101056831, 0.4786286704993665], [0, 0.5688888888888889],
   [0.5384693101056831, 0.4786286704993665], [0.9061798459386640, 0.2369268850561891]]; // nodes and weights on [-1, 1]
@@ -40,35 +39,29 @@ export function turned(polar, up, degrees) {
   return light;
 }
 
-/** A sun of irradiance π, `height` degrees above the horizon, in the polar frame. */
-export function sun(degree, height) {
-  const angle = (height * Math.PI) / 180;
-  return harmonics(degree, [0, Math.cos(angle), Math.sin(angle)]).flatMap((value) => Array(3).fill(Math.PI * value));
-}
+/** A sun of irradiance π in a direction. */
+export const sun = (degree, direction) => harmonics(degree, direction).flatMap((value) => Array(3).fill(Math.PI * value));
 
-/** The light of a lat-long picture in the polar frame, exact over each pixel. `rows` come one by one, [width·3]. */
-export async function project(degree, { width, height, rows }) {
+/** The light of a lat-long picture [height·width·3] in the polar frame, exact over each pixel. */
+export function project(degree, { width, height, data }) {
   const light = new Float64Array(3 * (degree + 1) ** 2), step = (2 * Math.PI) / width;
   const waves = Array.from({ length: 2 * degree + 1 }, (_, i) => {
     const m = i - degree, wave = m < 0 ? Math.sin : Math.cos, size = m ? (2 * Math.sin((m * step) / 2)) / m : step;
     return Float64Array.from({ length: width }, (_, column) => size * wave(Math.abs(m) * ((column + 0.5) * step - Math.PI)));
   });
-  let number = 0;
-  for (const row of rows) {
+  for (let row = 0; row < height; row++) {
     const profile = new Float64Array((degree + 1) ** 2); // of the harmonics over the row's height
     for (const [node, weight] of GAUSS) {
-      const theta = (Math.PI * (number + 0.5 + node / 2)) / height, size = (weight * Math.PI * Math.sin(theta)) / (2 * height);
+      const theta = (Math.PI * (row + 0.5 + node / 2)) / height, size = (weight * Math.PI * Math.sin(theta)) / (2 * height);
       harmonics(degree, [Math.sin(theta), 0, Math.cos(theta)]).forEach((value, k) => (profile[k] += size * value));
     }
     waves.forEach((wave, i) => {
-      const m = i - degree, sums = [0, 0, 0];
-      for (let column = 0; column < width; column++) for (let c = 0; c < 3; c++) sums[c] += wave[column] * row[3 * column + c];
+      const m = i - degree, sums = [0, 0, 0], first = 3 * width * row;
+      for (let column = 0; column < width; column++) for (let c = 0; c < 3; c++) sums[c] += wave[column] * data[first + 3 * column + c];
       for (let l = Math.abs(m); l <= degree; l++) {
         sums.forEach((sum, c) => (light[3 * (l * (l + 1) + m) + c] += profile[l * (l + 1) + Math.abs(m)] * sum));
       }
     });
-    if (++number % 128 === 0) await new Promise((done) => setTimeout(done)); // the page stays alive
   }
-  if (!light.every(Number.isFinite)) throw new Failure("has pixels that are not finite; repair it, or export the page with it and --mend.");
   return light;
 }

@@ -2,6 +2,7 @@
 import * as THREE from "three";
 import * as TSL from "three/tsl";
 import { harmonics } from "./light.js";
+import { Reflection } from "./reflection.js";
 import { Failure } from "./sky.js";
 
 const { Fn, If, Loop, attribute, dot, float, int, ivec2, textureLoad, uniform, uniformArray, varying, vec2, vec3, vec4 } = TSL;
@@ -25,10 +26,22 @@ export class Model {
     const radiance = this.radiance(), baked = attribute("valid", "float");
     const shown = varying(vec4(radiance.max(0).mul(baked), baked)); // vertices that were not baked leave no dark seam
     const material = this.keep(new THREE.MeshBasicNodeMaterial());
-    material.colorNode = shown.xyz.div(shown.w.max(1e-6)).mul(this.exposure);
+    this.inner = shown.xyz.div(shown.w.max(1e-6));
+    this.reflection = new Reflection(record);
     this.mesh = new THREE.Mesh(geometry.clone().setIndex(new THREE.BufferAttribute(faces, 1)), material);
     this.keep(this.mesh.geometry);
+    this.reflect(null);
     this.prepareReading(geometry, varying(radiance));
+  }
+
+  /** Add the light reflected at the surface, of a light or, for null, of none. */
+  reflect(light) {
+    if (light === this.reflected) return;
+    this.reflected = light;
+    const toEye = () => this.eye.xyz.sub(TSL.positionLocal.mul(this.eye.w)), { material } = this.mesh;
+    const added = light && this.reflection.node(toEye(), varying(attribute("normal", "vec3")), light.texture);
+    material.colorNode = (added ? this.inner.add(added) : this.inner).mul(this.exposure);
+    material.needsUpdate = true;
   }
 
   keep(one) {

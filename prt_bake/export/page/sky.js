@@ -1,21 +1,41 @@
-// Lat-long pictures row by row, so that one of 8k needs little more memory than its file.
+// Skies: lat-long pictures, read row by row so that one of 8k needs little more memory than its file.
+// three.js's HDRLoader is not enough: it shows a truncated file as black rows, and needs memory for all pixels.
+const MOST_ROWS = 512; // of what is kept: phones must hold it, and its filtered copies
 
 /** What went wrong with a file, in words for the person who opened it. */
 export class Failure extends Error {}
 
-/** Width, height and rows [width·3] of linear radiance of a picture, .hdr or .exr. */
-export async function openSky(bytes) {
-  if (bytes[0] === 0x23) return openHdr(bytes);
+/** Width, height and linear radiance [height·width·3] of a picture, .hdr or .exr, averaged to at most 512 rows of 1024 pixels. */
+export async function readSky(bytes) {
+  const { width: columns, height: lines, rows } = bytes[0] === 0x23 ? openHdr(bytes) : await openExr(bytes);
+  const height = Math.min(lines, MOST_ROWS), width = Math.min(columns, 2 * MOST_ROWS), data = new Float32Array(3 * width * height);
+  const weights = new Float32Array(width * height), columnOf = Array.from({ length: columns }, (_, i) => Math.floor((i * width) / columns));
+  let number = 0;
+  for (const row of rows) {
+    const first = width * Math.floor((number * height) / lines), weight = Math.sin((Math.PI * (number + 0.5)) / lines);
+    for (let i = 0; i < columns; i++) {
+      const pixel = first + columnOf[i];
+      weights[pixel] += weight;
+      for (let c = 0; c < 3; c++) data[3 * pixel + c] += weight * row[3 * i + c];
+    }
+    if (++number % 128 === 0) await new Promise((done) => setTimeout(done)); // the page stays alive
+  }
+  if (!data.every(Number.isFinite)) throw new Failure("has pixels that are not finite; repair it, or export the page with it and --mend.");
+  return { width, height, data: data.map((sum, i) => sum / weights[Math.floor(i / 3)]) };
+}
+
+async function openExr(bytes) {
   const [{ EXRLoader }, { FloatType }] = await Promise.all([import("three/addons/loaders/EXRLoader.js"), import("three")]);
   const { data, width, height } = new EXRLoader().setDataType(FloatType).parse(bytes.buffer), channels = data.length / width / height;
   if (channels < 3) throw new Failure("has no red, green and blue.");
-  const at = (row, i) => data[(row * width + Math.floor(i / 3)) * channels + (i % 3)]; // the loader's rows go upwards
-  return { width, height, rows: Array.from({ length: height }, (_, row) => Float32Array.from({ length: 3 * width }, (_, i) => at(height - 1 - row, i))) };
+  const at = (row, i) => data[((height - 1 - row) * width + Math.floor(i / 3)) * channels + (i % 3)]; // the loader's rows go upwards
+  return { width, height, rows: Array.from({ length: height }, (_, row) => Float32Array.from({ length: 3 * width }, (_, i) => at(row, i))) };
 }
 
 /** Radiance files: https://radsite.lbl.gov/radiance/refer/filefmts.pdf */
 function openHdr(bytes) {
   const header = new TextDecoder("latin1").decode(bytes.subarray(0, 65536)), size = /\n\n-Y (\d+) \+X (\d+)\n/.exec(header);
+  if (!/\n\n[^\n]+\n/.test(header)) throw new Failure("is truncated in its header; copy it again.");
   if (!size || /FORMAT=32-bit_rle_xyze/.test(header)) throw new Failure("is stored in an unusual order or in XYZ; save it again as RGBE.");
   const [height, width] = [Number(size[1]), Number(size[2])], exposures = header.slice(0, size.index).matchAll(/EXPOSURE=\s*(\S+)/g);
   const exposure = [...exposures].reduce((all, [, one]) => all * one, 1);

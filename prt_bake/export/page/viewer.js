@@ -3,15 +3,19 @@ import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { readAsset } from "./asset.js";
 import { project, sun, turned } from "./light.js";
+import { textureOf } from "./reflection.js";
 import { Model } from "./shader.js";
-import { Failure, openSky } from "./sky.js";
+import { Failure, readSky } from "./sky.js";
 
 const $ = (id) => document.getElementById(id), number = (id) => Number($(id).value), say = window.say;
 const canvas = $("view"), query = new URLSearchParams(location.search), scene = new THREE.Scene();
 const camera = new THREE.PerspectiveCamera(30), page = (window.prtbake = { scene, frames: [], busy: () => lightChanged }); // what tests ask
-const lights = [{ name: "sun", polar: async (degree) => sun(degree, number("height")) }];
+const lights = [{ name: "sun", polar: async (degree) => sun(degree, toSun()) }];
+const toSun = (angle = (number("height") * Math.PI) / 180) => [0, Math.cos(angle), Math.sin(angle)]; // in the polar frame
+const pressed = (id) => $(id).ariaPressed === "true";
 const failing = (text) => (cause) => Promise.reject(new Failure(text, { cause }));
-let renderer, controls, model, objects = [], shown = 0, polar = null, lightChanged = false, viewChanged = false;
+let renderer, controls, model, polar, objects = [], which = 0, lightChanged = false, viewChanged = false;
+let opened = 0, shown = 0; // how often something was opened, and which of these objects is shown
 
 async function start() {
   const lost = () => (renderer.setAnimationLoop(null), say("The graphics device was lost; reload the page."));
@@ -21,7 +25,8 @@ async function start() {
   renderer.backend.device?.lost.then(lost); // three.js does not tell when the reason is "destroyed", as after some crashes
   page.backend = renderer.backend.isWebGPUBackend ? "webgpu" : "webgl";
   bindControls();
-  const site = await (await get("site.json")).json().catch(failing("site.json is damaged; export the page again."));
+  const answer = await get("site.json"), damaged = failing("site.json is damaged; export the page again.");
+  const site = await answer.json().then((found) => found ?? damaged(), damaged);
   objects = site.objects ?? [];
   lights.unshift(...(site.lights ?? []).map(({ name, file }) => skyOf(name, async () => (await get(file)).arrayBuffer())));
   listLights();
@@ -38,26 +43,27 @@ async function get(file) {
 
 /** A light that reads its picture when it is first shown, and keeps its coefficients of each degree. */
 function skyOf(name, load) {
-  const known = [], parse = async (bytes, degree) => project(degree, await openSky(new Uint8Array(bytes)));
-  const read = async (degree) => load().then((bytes) => named(name, () => parse(bytes, degree)));
-  return { name, polar: (degree) => (known[degree] ??= read(degree)) };
+  let picture;
+  const known = [], read = () => load().then((bytes) => named(name, () => readSky(new Uint8Array(bytes))));
+  const polar = async (degree) => known[degree] ??= project(degree, await (picture ??= read()));
+  return { name, polar, prepare: async function () { this.texture ??= textureOf(await picture); } };
 }
 
-async function showObject(which) {
-  const { name, file } = objects.at((shown = which % objects.length || 0)), began = performance.now();
+async function showObject(number) {
+  const { name, file, from } = objects.at((which = number % objects.length || 0)), began = performance.now(), order = ++opened;
   say(`Loading ${name} …`);
-  await open(new Uint8Array(await (await get(file)).arrayBuffer()), name);
+  await open(new Uint8Array(await (await get(file)).arrayBuffer()), name, order, from);
   page.opened = performance.now() - began;
 }
 
-/** Show an asset, or light the object by a sky. */
-async function open(bytes, name) {
+/** Show an asset, or light the object by a sky. Of objects, the one that was opened last stays. */
+async function open(bytes, name, order, from) {
   const kind = String.fromCharCode(...bytes.subarray(0, 4)), isSky = kind.startsWith("#?") || kind === "v/1\x01";
+  const read = { "\x89HDF": readAsset, glTF: async (bytes) => (await import("./glb.js")).readGlb(bytes) }[kind];
   if (isSky) await addLight(skyOf(name, async () => bytes));
   else await named(name, async () => {
-    if (kind === "\x89HDF") await show(await readAsset(bytes), name, bytes.length);
-    else if (kind === "glTF") await show(await (await import("./glb.js")).readGlb(bytes), name, bytes.length);
-    else throw new Failure("is neither an asset (.h5, .glb) nor a sky (.hdr, .exr).");
+    if (!read) throw new Failure("is neither an asset (.h5, .glb) nor a sky (.hdr, .exr).");
+    await show(await read(bytes), name, bytes.length, order, from);
   });
   say("");
   if (model) await attempt(relight);
@@ -75,9 +81,11 @@ async function addLight(sky) {
   listLights();
 }
 
-async function show(record, name, size) {
-  const { faces, positions, K, quantity, missing, selftest } = record, fixed = quantity === "radiance", next = new Model(renderer, record);
-  const off = await next.selftest(), met = off < 1e-3;
+async function show(record, name, size, order, from) {
+  const { faces, positions, K, quantity, selftest } = record, fixed = quantity === "radiance", next = new Model(renderer, record);
+  const off = await next.selftest(), met = off < 1e-3, reflects = Math.abs(record.eta - 1) > 1e-9;
+  if (order < shown) return next.dispose();
+  shown = order;
   model?.dispose();
   scene.clear().add((model = next).mesh);
   Object.assign(page, { model, renderer, selftest: off });
@@ -88,17 +96,20 @@ async function show(record, name, size) {
   const why = selftest.vertex.length ? "fails its self-test: another program changed the file, or this device computes wrongly" : "has no self-test";
   $("check").textContent = met ? "meets its self-test" : why;
   $("about").className = met ? "" : "bad";
-  $("left-out").textContent = `Not shown: ${missing.join(", ")}. ${fixed ? "The light is that of the bake." : `Light is ${K} coefficients, so narrow light looks soft.`}`;
+  const missing = [reflects && (fixed ? "light reflected at the surface" : "the object in its own reflection"), ...record.missing].filter(Boolean);
+  const light = fixed ? "The light is that of the bake." : `Light is ${K} coefficients, so narrow light looks soft.`;
+  $("left-out").textContent = `${missing.length ? `Not shown: ${missing.join(", ")}. ` : ""}${light}`;
   for (const id of ["light-row", "turn-row", "drag"]) $(id).hidden = fixed;
+  $("reflection").hidden = !reflects;
   $("about").hidden = false;
-  frameObject();
+  frameObject(from);
 }
 
-function frameObject() {
+function frameObject(direction = [0.43, 0.24, 0.87]) {
   const { geometry } = model.mesh, up = model.record.up === "z" ? [0, 0, 1] : [0, 1, 0];
   geometry.computeBoundingSphere();
   const { center, radius } = geometry.boundingSphere, tangent = Math.tan((camera.fov * Math.PI) / 360) * Math.min(1, camera.aspect);
-  const [x, y, z] = objects[shown]?.from ?? [0.43, 0.24, 0.87], from = new THREE.Vector3(...(up[2] ? [x, -z, y] : [x, y, z])), away = (1.15 * radius) / Math.sin(Math.atan(tangent));
+  const [x, y, z] = direction, from = new THREE.Vector3(...(up[2] ? [x, -z, y] : [x, y, z])), away = (1.15 * radius) / Math.sin(Math.atan(tangent));
   camera.up.set(...up);
   camera.position.copy(center).addScaledVector(from, away);
   Object.assign(camera, { near: radius / 100, far: 100 * radius });
@@ -115,7 +126,10 @@ async function relight() {
   const light = lights[number("light")], { record } = model, fixed = record.quantity === "radiance";
   $("height-row").hidden = fixed || light.name !== "sun";
   const found = fixed ? [1, 1, 1] : await light.polar(Math.sqrt(record.K) - 1);
+  const reflected = !fixed && pressed("reflection") && !$("reflection").hidden ? light : null;
+  await reflected?.prepare?.();
   if (light !== lights[number("light")] || record !== model.record) return;
+  model.reflect(pressed("reflection") ? reflected : null);
   [polar, lightChanged] = [found, true];
   say("");
 }
@@ -124,7 +138,12 @@ function frame() {
   if (!model) return;
   const began = performance.now();
   controls.update();
-  if (lightChanged) model.setLight((page.light = turned(polar, model.record.up, number("turn"))));
+  if (lightChanged) {
+    const [x, y, z] = toSun();
+    model.setLight((page.light = turned(polar, model.record.up, number("turn"))));
+    model.reflection.turn(number("turn"));
+    model.reflection.toSun.value.set(x, z, y);
+  }
   if (!lightChanged && !viewChanged) return;
   lightChanged = viewChanged = false;
   model.exposure.value = 2 ** number("exposure");
@@ -157,18 +176,21 @@ async function attempt(work) {
 }
 
 function bindControls() {
-  const openAll = (files) => (page.work = attempt(async () => {
-    for (const file of files) say(`Loading ${file.name} …`), await open(new Uint8Array(await file.arrayBuffer()), file.name);
+  const openAll = (files, order = ++opened) => (page.work = attempt(async () => {
+    for (const file of files) say(`Loading ${file.name} …`), await open(new Uint8Array(await file.arrayBuffer()), file.name, order);
   }));
-  const turnsLight = (event) => event.shiftKey || event.button === 2 || $("drag").ariaPressed === "true";
-  new ResizeObserver(resize).observe(canvas);
+  const toggle = (id) => ($(id).ariaPressed = !pressed(id));
+  const turnsLight = (event) => event.shiftKey || event.button === 2 || pressed("drag");
+  const sizes = new ResizeObserver(resize);
+  for (const part of [canvas, document.querySelector("footer")]) sizes.observe(part);
   renderer.setAnimationLoop(frame);
   $("turn").oninput = () => (lightChanged = Boolean(polar));
   $("exposure").oninput = () => (viewChanged = true);
   $("light").onchange = $("height").oninput = () => attempt(relight);
-  $("next").onclick = () => (page.work = attempt(() => showObject(shown + 1)));
+  $("next").onclick = () => (page.work = attempt(() => showObject(which + 1)));
   $("next-light").onclick = () => ($("light").value = (number("light") + 1) % lights.length, attempt(relight));
-  $("drag").onclick = () => ($("drag").ariaPressed = $("drag").ariaPressed !== "true");
+  $("drag").onclick = () => toggle("drag");
+  $("reflection").onclick = () => (toggle("reflection"), (page.work = attempt(relight)));
   $("file").onchange = () => openAll([...$("file").files]);
   document.ondragover = (event) => event.preventDefault();
   document.ondrop = (event) => (event.preventDefault(), openAll([...event.dataTransfer.files]));
