@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,16 @@ def pytest_configure(config: pytest.Config) -> None:
         # Idle threads that spin would take the cores from the other processes.
         os.environ.setdefault("OMP_WAIT_POLICY", "passive")
         config.stash[COMPILING] = subprocess.Popen([sys.executable, "-m", "tests.jit.warm"], cwd=ROOT)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Collect tests without garbage collection, which takes a fifth of the time and frees nothing."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
 
 
 def pytest_collection_finish() -> None:

@@ -6,6 +6,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from typing import Annotated, Any
 
 import typer
@@ -112,7 +113,7 @@ def _without_verbose(command_line: list[str]) -> tuple[list[str], bool]:
 def _run(command_line: list[str], typed: str) -> int:
     try:
         with _printed_warnings():
-            app(args=command_line, prog_name="prtbake", obj=typed)
+            _parser()(args=command_line, prog_name="prtbake", obj=typed)
     except SystemExit as ending:
         if ending.code != INTERRUPTED:
             return int(ending.code or 0)
@@ -132,6 +133,12 @@ def _run(command_line: list[str], typed: str) -> int:
     except MemoryError:
         return _fail("out of memory: try a smaller mesh, fewer --workers or a smaller --size")
     return 0
+
+
+@cache
+def _parser() -> Callable[..., Any]:
+    """Return the commands with their options. A call of `app` would build them again, which takes as long as `info`."""
+    return typer.main.get_command(app)
 
 
 @contextmanager

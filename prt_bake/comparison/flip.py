@@ -11,6 +11,8 @@ if half of the reference is black, as in pictures without a background.
 import math
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from types import ModuleType
 from typing import NamedTuple
@@ -106,16 +108,32 @@ def _inverse_aces(level: float) -> float:
 def _flip_evaluator() -> ModuleType:
     """The library, loaded with OpenMP threads that sleep while they wait.
 
-    OpenMP's default, spinning, takes six times as long on a busy machine. OpenMP reads the policy once, on loading.
+    OpenMP's default, spinning, takes many times as long on a busy machine. OpenMP reads the policy once, on loading.
+    If torch was loaded before, it offers its own OpenMP to all libraries; this one is bound to the copy that it brings.
     """
     policy = "OMP_WAIT_POLICY"
     if policy in os.environ or "flip_evaluator" in sys.modules:
         return evaluate_extra("flip_evaluator")
     os.environ[policy] = "passive"
     try:
-        return evaluate_extra("flip_evaluator")
+        with _own_libraries_first():
+            return evaluate_extra("flip_evaluator")
     finally:
         del os.environ[policy]
+
+
+@contextmanager
+def _own_libraries_first() -> Iterator[None]:
+    """Within, a compiled module is bound to the libraries that it brings before those that others offer (Linux)."""
+    if not hasattr(os, "RTLD_DEEPBIND"):
+        yield
+        return
+    flags = sys.getdlopenflags()
+    sys.setdlopenflags(flags | os.RTLD_DEEPBIND)
+    try:
+        yield
+    finally:
+        sys.setdlopenflags(flags)
 
 
 def _evaluated(image: Array, reference: Array, kind: str, parameters: dict[str, float]) -> NDArray[np.float32]:

@@ -165,3 +165,20 @@ def test_openmp_threads_sleep_by_default(setting: str | None, policy: str) -> No
     ran = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
     assert f"OMP_WAIT_POLICY = '{policy}'" in ran.stderr
     assert ran.stdout.strip() == str(setting)
+
+
+@pytest.mark.skipif(not hasattr(os, "RTLD_DEEPBIND"), reason="torch offers its OpenMP to other libraries on Linux only")
+def test_openmp_is_not_that_of_torch() -> None:
+    """Threads of torch's OpenMP spin while they wait; here it has one, and FLIP starts two more of its own."""
+    program = (
+        "import os, numpy, torch\n"
+        "torch.set_num_threads(1)\n"
+        "from prt_bake.comparison.flip import flip_map\n"
+        "before = len(os.listdir('/proc/self/task'))\n"
+        "flip_map(numpy.zeros((24, 32, 3)), numpy.ones((24, 32, 3)))\n"
+        "print(len(os.listdir('/proc/self/task')) - before)\n"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"}
+    environment["OMP_NUM_THREADS"] = "3"
+    ran = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == "2"

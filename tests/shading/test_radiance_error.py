@@ -43,13 +43,13 @@ def test_errors_between_bins_with_shared_and_independent_parts(rings: int, secto
     light[0] = 1.0
     for views in every_view(asset):
         squares = 0.0
-        for _draw in range(300):
+        for _draw in range(100):
             own, shared = rng.normal(size=(count, bins)), rng.normal(size=(count, 1))
             noise = sigma * (np.sqrt(apart) * own + np.sqrt(1.0 - apart) * shared)
             coefficients = np.zeros_like(exact.coefficients)
             coefficients[:, :, 0] = 30.0 + noise[..., None] * np.sqrt([1.5, 1.0, 0.5])
             off = shade(dataclasses.replace(exact, coefficients=coefficients), light, views) - 30.0
-            squares = squares + off**2 / 300
+            squares = squares + off**2 / 100
         predicted = radiance_error(asset, light, views)
         ratio = np.sqrt(squares.mean(axis=0) / (predicted**2).mean(axis=0))
         assert (np.abs(ratio - 1.0) < 0.03).all()

@@ -39,7 +39,8 @@ def verbosely(enabled: bool) -> Iterator[None]:
     global _enabled
     _enabled = enabled
     started = time.monotonic()
-    detail(_versions())
+    if enabled:
+        detail(_versions())
     try:
         yield
     finally:
