@@ -10,7 +10,7 @@ def describe(path: Path) -> dict[str, Any]:
     """Return the size, the box, the settings and the metadata of a network."""
     network = load_model(path)
     return {
-        "kind": network.kind,
+        "model": network.kind,
         "weights": sum(parameter.numel() for parameter in network.parameters()),
         "box minimum": network.box_min.tolist(),
         "box side": network.box_side,

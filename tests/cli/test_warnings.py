@@ -18,7 +18,7 @@ def test_a_warning_is_printed_once_as_one_line(
             warn("sky.exr: two layers;\n  'beauty' was taken")
         warn("mesh.obj: normals were recomputed")
 
-    monkeypatch.setattr(command_line, "app", app)
+    monkeypatch.setattr(command_line, "_parser", lambda: app)
     assert command_line.main([]) == 0
     assert capsys.readouterr().err.splitlines() == [
         "prtbake: warning: sky.exr: two layers; 'beauty' was taken",

@@ -16,6 +16,7 @@ TRITON_FOLDER = Path(sys.prefix) / "apart"
 """The folder in which `make test` installs Triton: in the environment itself torch would load it."""
 
 
+@pytest.mark.statistics
 def test_simulated_gpu() -> None:
     """numba simulates a GPU in processes that it starts with a variable of the environment."""
     command = [sys.executable, "-m", "pytest", "-p", "no:xdist", "-p", "no:cacheprovider", "--color=no", "simulated"]

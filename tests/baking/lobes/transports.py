@@ -65,9 +65,9 @@ class Smooth:
         return np.repeat(1.0 + towards[..., :1], 3, axis=-1)
 
 
-def errors(transport: Any, asset: Asset, outgoing: Array) -> tuple[float, float]:
-    """Relative RMSE under suns from all directions without and with the asset's lobes. outgoing [V,3]: to the eye."""
-    suns, found = fibonacci(60), []
+def errors(transport: Any, asset: Asset, outgoing: Array, count: int = 60) -> tuple[float, float]:
+    """Relative RMSE under `count` suns from all directions, without and with lobes. outgoing [V,3]: to the eye."""
+    suns, found = fibonacci(count), []
     exact = transport.evaluate(suns, MESH.positions, outgoing)
     for shown in (replace(asset, lobes=None), asset):
         shaded = np.empty_like(exact)
