@@ -41,4 +41,7 @@ def test_a_path_traced_bake_that_no_path_lit_says_so(
         return
     shaded = prtbake("shade", tmp_path / "a.h5", "--light", "sun:0,1,0", "--size", "8x8", "-o", tmp_path / "a.exr")
     assert shaded.code == 0, shaded.err
-    assert "a.exr: error unknown (path traced, bake unknown, views unknown, vertices unknown, noise 0.0%, suns unknown)\n" in shaded.out
+    assert (
+        "a.exr: error unknown (path traced, bake unknown, views unknown, vertices unknown, noise 0.0%, suns unknown)\n"
+        in shaded.out
+    )
