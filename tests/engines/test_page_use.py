@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 import prt_bake as prt
-from formats.asset import write_asset
+from formats.asset import read_asset, write_asset
+from prt_bake.baking.compress import compress
 from prt_bake.export.gltf import export_gltf
 from prt_bake.shipped.examples import example
 from tests.engines.conftest import RunNode
@@ -91,6 +92,19 @@ def test_keys_orbit(run_node: RunNode, site: Path) -> None:
     assert np.linalg.norm(orbit["eye"][:3]) == pytest.approx(np.linalg.norm(first["eye"][:3]), rel=1e-3)
 
 
+def test_the_error_counts_compression(run_node: RunNode, tmp_path: Path) -> None:
+    asset = smooth_asset()
+    asset.provenance["estimated_relative_rmse"] = {"total": 0.013, "percentile_95_over_vertices": 0.02}
+    write_asset(compress(asset, 0.03), tmp_path / "compact.h5")
+    bake = read_asset(tmp_path / "compact.h5").error.bake
+    assert bake is not None
+    assert bake > 0.02
+    (state,) = states(run_node, make_site(tmp_path / "site", [tmp_path / "compact.h5"], []))
+    found = re.search(r"bake ([\d.]+) %", state["error"])
+    assert found
+    assert float(found[1]) == pytest.approx(100 * bake, abs=0.06)
+
+
 def test_next_object_and_dropped_files(run_node: RunNode, site: Path, files: Path, tmp_path: Path) -> None:
     write_asset(smooth_asset(degree=1), tmp_path / "dropped.h5")
     prt.write_image(tmp_path / "evening.hdr", np.ones((8, 16, 3), np.float32))
@@ -162,6 +176,11 @@ def xyz(path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"32-bit_rle_rgbe", b"32-bit_rle_xyze"))
 
 
+def cut_picture(path: Path) -> None:
+    prt.write_image(path, np.random.default_rng(0).random((64, 128, 3)).astype(np.float32))
+    cut(path)
+
+
 def not_finite(path: Path) -> None:
     pixels = np.ones((8, 16, 3), np.float32)
     pixels[2, 3] = np.nan
@@ -189,6 +208,7 @@ def not_finite(path: Path) -> None:
         ("sky.hdr", cut_in_header, "sky.hdr is truncated in its header; copy it again."),
         ("sky.hdr", cut, r"sky.hdr is truncated in row \d+ of 256; copy it again."),
         ("sky.hdr", xyz, "sky.hdr is stored in an unusual order or in XYZ; save it again as RGBE."),
+        ("sky.exr", cut_picture, "sky.exr is truncated or damaged; copy it again."),
         (
             "sky.exr",
             not_finite,

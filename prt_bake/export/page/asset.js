@@ -53,7 +53,7 @@ function readRecord(reader) {
   const missing = [...JSON.parse(attribute("/", "left_out") ?? "[]").map(({ item }) => item)];
   if (shape("/lobes/axes")) missing.push("lobes");
   if (!attribute("/", "complete")) missing.push("vertices not baked yet, which are black");
-  const error = [["network", attribute("/", "network_error")?.[0]], ["bake", bake?.total]];
+  const error = [["network", attribute("/", "network_error")?.[0]], ["bake", Math.hypot(bake?.total, attribute(group, "error") ?? 0)]]; // as in record.py
   return {
     positions, normals, tangents, faces, origin: attribute("/mesh/positions", "origin"), up: attribute("/", "up"),
     valid: shape(`${group}/valid`) && read(`${group}/valid`), quantity: attribute(group, "quantity"),

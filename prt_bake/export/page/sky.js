@@ -24,9 +24,17 @@ export async function readSky(bytes) {
   return { width, height, data: data.map((sum, i) => sum / weights[Math.floor(i / 3)]) };
 }
 
+function parseExr(loader, bytes) {
+  try {
+    return loader.parse(bytes);
+  } catch (error) { // "EXRLoader.parse: …" tells what it does not read; others are of decoders that ran out of bytes
+    throw /EXRLoader/.test(error.message) ? error : new Failure("is truncated or damaged; copy it again.", { cause: error });
+  }
+}
+
 async function openExr(bytes) {
   const [{ EXRLoader }, { FloatType }] = await Promise.all([import("three/addons/loaders/EXRLoader.js"), import("three")]);
-  const { data, width, height } = new EXRLoader().setDataType(FloatType).parse(bytes.buffer), channels = data.length / width / height;
+  const { data, width, height } = parseExr(new EXRLoader().setDataType(FloatType), bytes.buffer), channels = data.length / width / height;
   if (channels < 3) throw new Failure("has no red, green and blue.");
   const at = (row, i) => data[((height - 1 - row) * width + Math.floor(i / 3)) * channels + (i % 3)]; // the loader's rows go upwards
   return { width, height, rows: Array.from({ length: height }, (_, row) => Float32Array.from({ length: 3 * width }, (_, i) => at(row, i))) };
