@@ -172,6 +172,10 @@ def text(path: Path) -> None:
     path.write_text("a letter")
 
 
+def emptied(path: Path) -> None:
+    path.write_bytes(b"")
+
+
 def xyz(path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"32-bit_rle_rgbe", b"32-bit_rle_xyze"))
 
@@ -214,6 +218,7 @@ def not_finite(path: Path) -> None:
             not_finite,
             "sky.exr has pixels that are not finite; repair it, or export the page with it and --mend.",
         ),
+        ("asset.h5", emptied, "asset.h5 is empty; copy it again."),
         ("asset.h5", text, "asset.h5 is neither an asset (.h5, .glb) nor a sky (.hdr, .exr)."),
     ],
 )

@@ -44,8 +44,9 @@ async function get(file) {
 /** A light that reads its picture when it is first shown, and keeps its coefficients of each degree. */
 function skyOf(name, load) {
   let picture;
+  const forget = (cause) => { picture = undefined; throw cause; }; // so that the next choice reads it again
   const known = [], read = () => load().then((bytes) => named(name, () => readSky(new Uint8Array(bytes))));
-  const polar = async (degree) => known[degree] ??= project(degree, await (picture ??= read()));
+  const polar = async (degree) => known[degree] ??= project(degree, await (picture ??= read().catch(forget)));
   return { name, polar, prepare: async function () { this.texture ??= textureOf(await picture); } };
 }
 
@@ -62,6 +63,7 @@ async function open(bytes, name, order, from) {
   const read = { "\x89HDF": readAsset, glTF: async (bytes) => (await import("./glb.js")).readGlb(bytes) }[kind];
   if (isSky) await addLight(skyOf(name, async () => bytes));
   else await named(name, async () => {
+    if (!bytes.length) throw new Failure("is empty; copy it again.");
     if (!read) throw new Failure("is neither an asset (.h5, .glb) nor a sky (.hdr, .exr).");
     await show(await read(bytes), name, bytes.length, order, from);
   });
