@@ -43,8 +43,8 @@ def seconds_of(output: str | Path) -> float:
 def read_state(output: str | Path, scene_hash: str, settings: dict[str, Any]) -> dict[str, Any]:
     """Read the checkpoint of a run that began with the same scene and the same settings.
 
-    Raises ModelError if the checkpoint is missing or damaged, belongs to another scene, or began with other settings;
-    the message names the setting.
+    Raises ModelError if the checkpoint is missing or damaged, belongs to another scene, trains another kind of model, or
+    began with other settings; the message names the setting.
     """
     import torch
 
@@ -66,9 +66,14 @@ def read_state(output: str | Path, scene_hash: str, settings: dict[str, Any]) ->
     if version != _VERSION:
         raise ModelError(f"{path}: has version {version!r}, expected {_VERSION}; train without resume")
     for name, value in settings.items():
-        if state["begun"].get(name) != value:
+        if name not in state["begun"]:
             raise ModelError(
-                f"{path}: the run began with {name} {state['begun'].get(name)!r}, requested is {value!r}; "
+                f"{path}: the run trains a model of another kind; request the same --baseline, or none, "
+                "or train without resume"
+            )
+        if state["begun"][name] != value:
+            raise ModelError(
+                f"{path}: the run began with {name} {state['begun'][name]!r}, requested is {value!r}; "
                 "request the same, or train without resume"
             )
     return state

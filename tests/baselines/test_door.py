@@ -52,3 +52,9 @@ def test_an_unknown_baseline_names_those_that_exist(prtbake: Run, trained: Path)
     assert run.code == 1
     assert "baseline: expected one of neumip, neumip-log" in run.err
     assert "found 'neumop'" in run.err
+
+
+def test_another_kind_of_model_is_not_resumed(prtbake: Run, trained: Path) -> None:
+    run = prtbake("train", "ball.toml", "-o", "m.pt", "--resume", "--steps", 4)
+    assert run.code == 1
+    assert "m.train.pt: the run trains a model of another kind; request the same --baseline" in run.err
