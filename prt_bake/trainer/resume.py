@@ -43,7 +43,7 @@ def seconds_of(output: str | Path) -> float:
 def read_state(output: str | Path, scene_hash: str, settings: dict[str, Any]) -> dict[str, Any]:
     """Read the checkpoint of a run that began with the same scene and the same settings.
 
-    Raises ModelError if the checkpoint is missing or damaged, belongs to another scene, trains another kind of model, or
+    Raises ModelError if the checkpoint is missing or damaged, belongs to another scene, is of another kind of model, or
     began with other settings; the message names the setting.
     """
     import torch
