@@ -3,7 +3,8 @@
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from formats.errors import ModelError
 from formats.mesh import Mesh
 from formats.scene import Scene
 from prt_bake.importance.module import importance_path, load_importance, save_importance
-from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF, load_model
+from prt_bake.network.bssrdf import PRESETS, NetworkSettings, load_model
 from prt_bake.network.model import Model
 from prt_bake.paper.artefacts import Artefact, Artefacts, Facts, Stopped
 
@@ -45,20 +46,33 @@ def train_once(
     device: str,
     progress: Progress,
     settings: NetworkSettings | None = None,
+    *,
+    baseline: str | None = None,
+    seed: int = 0,
 ) -> Artefact:
-    """Return a network trained for `minutes`, by default with the measured preset; resumes a stopped training."""
+    """Return a model trained for `minutes`; resumes a stopped training.
+
+    It is the network, by default with the measured preset, or the named baseline (`prt_bake.baselines.door`). Raises
+    SceneError or QueryError for a scene that the model cannot learn, Stopped if a stop was requested.
+    """
+    from prt_bake.baselines.door import train_baseline
     from prt_bake.trainer.samples.rows import StreamSettings
     from prt_bake.trainer.train import LearningSettings, train
 
-    defaults = {"learning": asdict(LearningSettings()), "walks": asdict(StreamSettings())}
-    network_settings = (settings or PRESETS["measured"]).as_json()
+    chosen = settings or replace(PRESETS["measured"], seed=seed)
+    fit: Callable[..., Model] = partial(train, settings=chosen)
     inputs = {
         "scene": scene.content_hash,
         "minutes": minutes,
         "device": device,
-        "settings": network_settings,
-        **defaults,
+        "settings": chosen.as_json(),
+        "learning": asdict(LearningSettings()),
+        "walks": asdict(StreamSettings()),
+        **({"seed": seed} if seed else {}),
     }
+    if baseline is not None:
+        fit, device = partial(train_baseline, baseline=baseline), "cpu"
+        inputs |= {"settings": {}, "device": device, "baseline": baseline}
 
     def build(path: Path) -> Facts:
         started = path.with_suffix(".started.json")
@@ -69,19 +83,23 @@ def train_once(
 
         def report(row: Any) -> None:
             progress(row.share, f"validation error {row.validation:.2%}, {row.walks_per_second:,.0f} paths/s")
-            if artefacts.stop():
-                raise KeyboardInterrupt
 
-        def run_training(resume: bool) -> NeuralBSSRDF:
-            return train(
+        def stop_early(name: str, share: float) -> None:
+            if artefacts.stop() and name != "learning":
+                raise Stopped(f"{path}: the training was stopped; the same command starts it again")
+
+        def run_training(resume: bool) -> Model:
+            return fit(
                 scene,
                 minutes=minutes,
-                settings=settings,
+                seed=seed,
                 device=device,
                 output=path,
                 resume=resume,
                 progress=report,
                 say=artefacts.say,
+                stop=artefacts.stop,
+                part=stop_early,
             )
 
         resume = same_inputs and path.with_suffix(".train.pt").is_file()

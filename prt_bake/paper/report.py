@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from formats.atomic import replacing
 from formats.errors import StorageError
 from formats.image import read_image
 from formats.json_report import as_text
 from prt_bake.paper import results as records
 from prt_bake.paper.artefacts import Artefacts
+from prt_bake.paper.baselines.contenders import Comparison
+from prt_bake.paper.baselines.report import FILES as BASELINE_FILES
+from prt_bake.paper.baselines.report import BaselineReport
 from prt_bake.paper.layers import ablation
 from prt_bake.paper.plots import plot_layers, plot_times, plot_training
 from prt_bake.paper.results import METHODS, TITLES, Result
@@ -23,13 +25,15 @@ from prt_bake.paper.settings import ReportSettings
 from prt_bake.paper.sheet import Row, Tile, write_sheet
 from prt_bake.paper.sigma import SigmaPicture, write_sigma
 from prt_bake.paper.tables import markdown
+from prt_bake.paper.text import write_text
 from prt_bake.paper.times import Trained, trainings
 from prt_bake.paper.times import as_json as times_json
 
 OnResult = Callable[[Result], None]
 _PICTURES = ("sheet.png", "everything.png", "training.png", "sigma.png", "layers.png", "times.png")
-FILES = ("tables.md", "tables.json", *_PICTURES, "layers.json", "times.json")
+FILES = ("tables.md", "tables.json", *_PICTURES, "layers.json", "times.json", *BASELINE_FILES)
 """The names of the tables and pictures of the report; each scene also has a folder."""
+_HIDDEN = ("layers.json", "times.json", "baselines.json")
 
 
 class PaperReport:
@@ -72,8 +76,18 @@ class PaperReport:
             minutes, device = self.settings.train_minutes, self.settings.device
             errors[paper.name] = ablation(self.artefacts, paper.name, scene, minutes, device, self._progress)
             plot_layers(errors, self.artefacts.folder / "layers.png")
-            _write_text(self.artefacts.folder / "layers.json", as_text({"minutes": minutes, "relative_mse": errors}))
+            write_text(self.artefacts.folder / "layers.json", as_text({"minutes": minutes, "relative_mse": errors}))
         return errors
+
+    def run_baselines(
+        self, scenes: Sequence[PaperScene], skies: dict[str, Path], on_comparison: Callable[[Comparison], None]
+    ) -> None:
+        """Compare the network with the baselines; writes baselines.md, baselines.json and baselines.png.
+
+        Raises Stopped.
+        """
+        report = BaselineReport(self.artefacts, self._folder, self.settings, self._quick, self._progress)
+        report.run(scenes, skies, on_comparison)
 
     def run_times(self, scenes: Sequence[PaperScene], skies: dict[str, Path]) -> dict[str, list[Trained]]:
         """Run the training-time ablation of each scene and sky; writes times.png and times.json. Raises Stopped."""
@@ -85,14 +99,14 @@ class PaperReport:
                 rows[name] = trainings(scene, sky, path, self.settings.train_minutes, self._progress)
                 plot_times(rows, self.artefacts.folder / "times.png")
                 laws = {name: times_json(trained) for name, trained in rows.items()}
-                _write_text(self.artefacts.folder / "times.json", as_text(laws) + "\n")
+                write_text(self.artefacts.folder / "times.json", as_text(laws) + "\n")
         return rows
 
     def write(self) -> None:
         """Write tables.md, tables.json, the sheets, sigma.png and training.png from the results so far."""
         folder, settings = self.artefacts.folder, self._settings_json()
-        _write_text(folder / "tables.md", markdown(self.results, settings))
-        _write_text(folder / "tables.json", as_text(records.as_json(self.results, settings)) + "\n")
+        write_text(folder / "tables.md", markdown(self.results, settings))
+        write_text(folder / "tables.json", as_text(records.as_json(self.results, settings)) + "\n")
         columns = ("reference", *(TITLES[method] for method in METHODS))
         write_sheet(folder / "sheet.png", columns, [self._row(result, complete=False) for result in self.results])
         write_sheet(folder / "everything.png", columns, [self._row(result, complete=True) for result in self.results])
@@ -103,7 +117,7 @@ class PaperReport:
     @property
     def files(self) -> tuple[Path, ...]:
         """The tables and pictures of the report that exist."""
-        shown = (self.artefacts.folder / name for name in FILES if name not in ("layers.json", "times.json"))
+        shown = (self.artefacts.folder / name for name in FILES if name not in _HIDDEN)
         return tuple(path for path in shown if path.is_file())
 
     def _row(self, result: Result, complete: bool) -> Row:
@@ -142,8 +156,3 @@ def sky_files(names: Sequence[str], folder: Path) -> dict[str, Path]:
             raise StorageError(f"{path}: there is no such sky; expected {', '.join(SKIES)} or a lat-long .hdr or .exr")
         skies[name if name in SKIES else path.stem] = path
     return skies
-
-
-def _write_text(path: Path, text: str) -> None:
-    with replacing(path) as part:
-        part.write_text(text, encoding="utf-8")

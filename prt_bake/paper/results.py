@@ -101,7 +101,7 @@ def paper_json(scene: PaperScene) -> dict[str, Any]:
         "path_tracing": asdict(scene.path_tracing),
         "net": asdict(scene.net),
         "sh": asdict(scene.harmonics),
-        "net_by_sky": {sky: asdict(row) for sky, row in (scene.net_by_sky or {}).items()},
+        "by_sky": {model: {sky: asdict(row) for sky, row in skies.items()} for model, skies in scene.published.items()},
     }
 
 

@@ -105,8 +105,8 @@ class SceneReport:
 
     def under(self, sky_name: str, sky_path: Path) -> Result:
         """Measure the scene under one sky. Raises Stopped; all finished steps are kept."""
-        lighting = self._lighting(sky_path)
-        target = self._reference(sky_name, lighting)
+        lighting = self.lighting(sky_path)
+        target = self.reference(sky_name, lighting)
         pictures = dict(self._pictures(sky_name, lighting))
         return self._result(sky_name, target, pictures, self._surfaces(sky_name, lighting))
 
@@ -115,9 +115,9 @@ class SceneReport:
 
         Writes the picture `name`.exr. Its directions are sampled by the importance module of the scene's own network.
         """
-        lighting = self._lighting(sky_path)
-        target = self._reference(sky_name, lighting)
-        picture = read_layers(self._network_picture(lighting, PRIMARY_SAMPLING, f"{name}.exr", model).path)
+        lighting = self.lighting(sky_path)
+        target = self.reference(sky_name, lighting)
+        picture = read_layers(self.network_picture(lighting, PRIMARY_SAMPLING, f"{name}.exr", model).path)
         mask = object_figures.object_mask(target.coverage)
         _map, figures = object_figures.subsurface_figures(
             picture, target, mask, object_figures.exposure(target.image, mask)
@@ -128,14 +128,16 @@ class SceneReport:
         """Return the lobe widths of the importance module at the visible points."""
         return sigma_picture(self.paper.title, self.importance.path.with_name("model.pt"), self.scene.mesh, self.view)
 
-    def _lighting(self, path: Path) -> Lighting:
+    def lighting(self, path: Path) -> Lighting:
+        """Return the light of a sky, upright as the scene is."""
         up = self.scene.up
         return Lighting((Sky(read_environment(path), up, rotation(0.0, up)),))
 
     def _view_inputs(self, lighting: Lighting) -> Facts:
         return {"light": lighting.content_hash(), "camera": camera_json(self.view)}
 
-    def _reference(self, sky: str, lighting: Lighting) -> Reference:
+    def reference(self, sky: str, lighting: Lighting) -> Reference:
+        """Path trace the subsurface light alone. Raises Stopped."""
         name, settings = f"{self.paper.name}/{sky}/reference.exr", self.settings
         inputs = {"scene": self.scene.content_hash, "seed": settings.seed, **self._view_inputs(lighting)}
         if has_unscattered(self.scene):
@@ -150,7 +152,7 @@ class SceneReport:
         """Yield (method, picture of subsurface light alone)."""
         folder = f"{self.paper.name}/{sky}"
         for sampling in SAMPLINGS:
-            yield sampling, self._network_picture(lighting, sampling, f"{folder}/net_{sampling}.exr", self.model)
+            yield sampling, self.network_picture(lighting, sampling, f"{folder}/net_{sampling}.exr", self.model)
         inputs = {**self._picture_inputs(lighting, self.model), "asset": self.asset.sha256}
         arguments = self.asset, lighting.skies[0], self.view
         yield (
@@ -161,7 +163,7 @@ class SceneReport:
     def _picture_inputs(self, lighting: Lighting, model: Artefact) -> Facts:
         return {"method": _METHOD, "model": model.sha256, **self._view_inputs(lighting)}
 
-    def _network_picture(self, lighting: Lighting, sampling: Sampling, file: str, model: Artefact) -> Artefact:
+    def network_picture(self, lighting: Lighting, sampling: Sampling, file: str, model: Artefact) -> Artefact:
         """Render a network; its directions are sampled by the importance module of the scene's own network."""
         settings, importance = self.settings, None if sampling == "light" else self.importance
         inputs = {**self._picture_inputs(lighting, model), "spp": settings.spp, "sampling": sampling}

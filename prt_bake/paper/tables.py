@@ -17,6 +17,7 @@ from prt_bake.paper.results import (
     paper_scene,
 )
 from prt_bake.paper.scenes import LEAST_SHARE, SCENES, PaperRow
+from prt_bake.paper.text import markdown_table
 
 _EXPLANATION = """Pictures are {size}² and show subsurface light alone: no reflection, a black background, and no
 unscattered transmission. Figures are means over the pixels that the object covers completely. The exposure gives the
@@ -80,7 +81,7 @@ def first_table(results: Iterable[Result]) -> str:
         rows += [
             ["", TITLES[line.method], *_line(line), *_paper(paper_row(scene, line.method))] for line in result.lines
         ]
-    return _table((*_COLUMNS, *_PAPER_COLUMNS), rows)
+    return markdown_table((*_COLUMNS, *_PAPER_COLUMNS), rows)
 
 
 def second_table(results: Iterable[Result]) -> str:
@@ -88,9 +89,9 @@ def second_table(results: Iterable[Result]) -> str:
     rows = []
     for result in results:
         scene, line = paper_scene(result.scene), result.line(PRIMARY_SAMPLING)
-        if scene.net_by_sky is None or line is None:
+        if not scene.published or line is None:
             continue
-        published = scene.net_by_sky.get(result.sky)
+        published = scene.published["net"].get(result.sky)
         name = f"{scene.title} ({result.sky})"
         for metric in ("mse", "ssim", "ssim_quarter", "flip"):
             paper = "" if published is None else _figure(metric, getattr(published, metric))
@@ -98,7 +99,9 @@ def second_table(results: Iterable[Result]) -> str:
             noise = _figure(metric, result.noise[metric])
             rows.append([name, _METRICS[metric], measured, noise, paper])
             name = ""
-    return _table(("Experiment", "Metric", f"Net ({PRIMARY_SAMPLING})", "noise of the reference", "paper: Net"), rows)
+    return markdown_table(
+        ("Experiment", "Metric", f"Net ({PRIMARY_SAMPLING})", "noise of the reference", "paper: Net"), rows
+    )
 
 
 def means_table(results: list[Result], skies: Sequence[str]) -> str:
@@ -121,13 +124,13 @@ def means_table(results: list[Result], skies: Sequence[str]) -> str:
             row += [f"{noiseless:.4f}", f"{error:.1%}", complete, f"{PAPER_MEANS[kind]:.3f}"]
             rows.append(row)
     columns = ("Sky", "Model", "Scenes", "mean FLIP", "target", "reached", "no noise", "error", "complete", "paper")
-    return _table(columns, rows)
+    return markdown_table(columns, rows)
 
 
 _METRICS = {"mse": "MSE", "ssim": "SSIM", "ssim_quarter": "SSIM, quarter size", "flip": "FLIP"}
 _MISSING = (
-    "NeRFactor and NeuMIP, the paper's other columns, are missing. The paper's pictures are 1920²; its SSIM at quarter "
-    "size is computed at 480²."
+    "NeRFactor and NeuMIP, the paper's other columns, are measured by `prtbake report paper --baselines`. The paper's "
+    "pictures are 1920²; its SSIM at quarter size is computed at 480²."
 )
 
 
@@ -196,8 +199,3 @@ def _small(value: float) -> str:
 
 def _seconds(value: float) -> str:
     return f"{value:.1e}" if 0.0 < value < 0.01 else f"{value:.3g}" if value < 1000.0 else f"{value:.0f}"
-
-
-def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    head = [f"| {' | '.join(columns)} |", f"|{'|'.join('---' for _ in columns)}|"]
-    return "\n".join(head + [f"| {' | '.join(row)} |" for row in rows])

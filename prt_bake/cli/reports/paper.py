@@ -62,6 +62,14 @@ def paper(
             "(dragon, outdoor by default).",
         ),
     ] = False,
+    baselines: Annotated[
+        bool,
+        typer.Option(
+            "--baselines",
+            help="The paper's second table instead: the network beside NeuMIP and NeRFactor, each trained for "
+            "--train-minutes (grape and paperweight by default).",
+        ),
+    ] = False,
     device: Device = "cpu",
     seed: Seed = 0,
 ) -> None:
@@ -72,6 +80,8 @@ def paper(
     """
     from prt_bake.baking.sources import require_device
     from prt_bake.paper.artefacts import Stopped
+    from prt_bake.paper.baselines import contenders
+    from prt_bake.paper.baselines.table import standing
     from prt_bake.paper.report import FILES, PaperReport, sky_files
     from prt_bake.paper.results import TITLES, Result
     from prt_bake.paper.scenes import scenes_folder, select_scenes
@@ -81,7 +91,8 @@ def paper(
     require("report paper", *EVALUATE)
     require_device(device)
     folder = scenes_folder(scenes)
-    selected = select_scenes(scene or (["dragon"] if layers or times else []))
+    by_default = ["dragon"] if layers or times else list(contenders.SCENES) if baselines else []
+    selected = select_scenes(scene or by_default)
     skies = sky_files(sky or (["outdoor"] if times else []), folder)
     check_outputs({"--out": [out / name for name in FILES]}, {"--sky": sky}, folder=out)
     settings = ReportSettings(
@@ -101,6 +112,10 @@ def paper(
             flush=True,
         )
 
+    def print_comparison(comparison: contenders.Comparison) -> None:
+        for sentence in filter(None, (standing(comparison, contender) for contender in contenders.CONTENDERS)):
+            print(f"{comparison.scene}, {comparison.sky}: {sentence}", flush=True)
+
     with stopping() as stop:
         report = PaperReport(out, folder, settings, quick=quick, say=say, progress=_progress_lines(), stop=stop)
         try:
@@ -110,7 +125,9 @@ def paper(
             if times:
                 for name, rows in report.run_times(selected, skies).items():
                     print(summary(name, rows))
-            if not (layers or times):
+            if baselines:
+                report.run_baselines(selected, skies, print_comparison)
+            if not (layers or times or baselines):
                 report.run(selected, skies, print_result)
         except Stopped as stopped:
             raise PrtbakeError(str(stopped)) from None
