@@ -57,7 +57,11 @@ def read_dataset(folder: Path) -> dict[str, Any]:
         ) from cause
     except (OSError, ValueError) as cause:
         raise FormatError(f"{path}: cannot be read: {cause}; make the test set again") from cause
-    if not isinstance(content, dict) or content.get("format") != FORMAT or not isinstance(content.get("identity"), dict):
+    if (
+        not isinstance(content, dict)
+        or content.get("format") != FORMAT
+        or not isinstance(content.get("identity"), dict)
+    ):
         raise FormatError(f"{path}: expected a test set, format {FORMAT!r}, found another file; check the folder")
     return content
 
@@ -97,30 +101,33 @@ def write_dataset(
 def _readme(folder: Path, scene: Scene, settings: OlatSettings, shown: dict[str, Any]) -> str:
     counts = ", ".join(f"{name} {len([p for p in shown['pictures'] if p.startswith(f'{name}/')])}" for name in SETS)
     state = "" if shown["complete"] else "\nThe set is not finished: the same command continues it.\n"
-    light = "one distant light" if settings.light_diameter == 0.0 else f"a disc of {settings.light_diameter:g}°"
+    light = "One distant light" if settings.light_diameter == 0.0 else f"A disc of {settings.light_diameter:g}°"
+    version, size = program_version(), f"{settings.width}x{settings.height}"
     return f"""# {scene.path.stem}: one light at a time
 {state}
-Path-traced pictures by {f"prtbake {program_version()}"}, {settings.width}x{settings.height} pixels, {settings.spp} paths a pixel: {counts}.
+Path-traced pictures by prtbake {version}, {size} pixels, {settings.spp} paths a pixel: {counts}.
 They show {shown["shows"]}.
 
 | file | content |
 |---|---|
-| `transforms_train.json`, `transforms_test.json` | cameras and lights, one light a picture; no camera and no light is in both |
-| `transforms_held_out_skies.json` | the test cameras under skies, `environment` names the sky |
+| `transforms_train.json`, `transforms_test.json` | cameras and lights; the test set has others than the training set |
+| `transforms_held_out_skies.json` | the test cameras under skies; `environment` names the sky |
 | `*.exr` | linear radiance R, G, B, coverage A, standard error error.R, error.G, error.B |
 | `*.png` | the same as sRGB, clipped at 1, with straight alpha |
 | `dataset.json` | settings, seeds, coordinates, noise of each picture |
 
-* Light: {light} of irradiance {IRRADIANCE:.4f} in each channel, measured perpendicular to `light_direction`, which points to
-  the light. A white Lambertian surface that faces it has radiance 1. `pl_pos` is a point {DISTANCE:g} lengths away, and
-  `pl_intensity` = irradiance · {DISTANCE:g}² gives the same irradiance at the origin.
-* Coordinates: right-handed, z up, the object's longest side is 1 and its centre the origin. `scene_to_dataset` in
-  `dataset.json` leads there from the scene's. `transform_matrix` is camera to world with OpenGL axes.
-* Skies: lat-long pictures. A pixel at u, v in [0,1] has the direction (cosφ sinθ, −sinφ sinθ, cosθ), φ = 2π(u − ½), θ = πv.
-* Colours of .exr are premultiplied by A. Readers that multiply them by A again darken the outline.
-* Licence: that of the scene's mesh and textures, and of the sky files.
+* **Light.** {light} of irradiance {IRRADIANCE:.4f} in each channel, measured perpendicular to `light_direction`, which
+  points to the light. A white Lambertian surface that faces it has radiance 1. `pl_pos` is a point {DISTANCE:g} lengths
+  away, and `pl_intensity` = irradiance · {DISTANCE:g}² gives the same irradiance at the origin.
+* **Coordinates.** Right-handed, z up; the object's longest side is 1, the centre of its box the origin.
+  `scene_to_dataset` in `dataset.json` leads there from the scene's. `transform_matrix` is camera to world, OpenGL axes.
+* **Skies.** Lat-long pictures, mean radiance 1. A pixel at u, v in [0,1] shows the direction
+  (cosφ sinθ, −sinφ sinθ, cosθ), φ = 2π(u − ½), θ = πv.
+* **Alpha.** Colours of .exr are premultiplied by A. Readers that multiply them by A again darken the outline.
+* **Licence.** That of the scene's mesh and textures, and of the sky files.
 
-Write predictions as .exr (or .png) under the same names, `test/…` and `held_out_skies/…`, in another folder. Score them:
+Write predictions as .exr (or .png) under the same names, `test/…` and `held_out_skies/…`, in another folder, and score
+them:
 
     prtbake compare PREDICTED {folder.name} --json
 """

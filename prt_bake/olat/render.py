@@ -58,7 +58,7 @@ class OlatSet:
     def predict(self) -> Cost:
         """Size and time, from pilots: pictures of the full size with few paths per pixel."""
         missing = self.missing
-        seconds, size = 0.0, 0.0
+        seconds, size = 0.0, float(self._bytes_of_skies())
         for under_sky in (False, True):
             alike = [picture for picture in self.pictures if (picture.set == SKIES) == under_sky]
             left = sum((picture.set == SKIES) == under_sky for picture in missing)
@@ -100,8 +100,13 @@ class OlatSet:
         self._describe(finished, complete=len(finished) == len(self.pictures))
         return len(finished)
 
+    def _bytes_of_skies(self) -> int:
+        with tempfile.TemporaryDirectory() as folder:
+            for number, lighting in enumerate(self._skies.values()):
+                write_image(Path(folder) / f"{number}.exr", lighting.skies[0].image)
+            return _bytes_in(Path(folder))
+
     def _render(self, picture: Picture, **options: Any) -> Rendering:
-        shown = "scattered" if self.settings.subsurface else "all"
         return render_scene(
             self.scene,
             picture.lighting,
@@ -110,7 +115,7 @@ class OlatSet:
             picture.seed,
             background=False,
             reflection=not self.settings.subsurface,
-            shown=shown,
+            shown="scattered" if self.settings.subsurface else "all",
             **options,
         )
 
@@ -122,7 +127,7 @@ class OlatSet:
         with tempfile.TemporaryDirectory() as folder:
             (Path(folder) / picture.set).mkdir()
             self._write(Path(folder), picture, found)
-            size = sum(path.stat().st_size for path in Path(folder).rglob("*.*"))
+            size = _bytes_in(Path(folder))
         beside = time.perf_counter() - start - found.seconds
         return beside + found.seconds * self.settings.spp / found.spp, size
 
@@ -154,3 +159,7 @@ class OlatSet:
 
     def _files(self, picture: Picture) -> list[Path]:
         return [self.folder / f"{picture.name}{suffix}" for suffix in (".exr", ".png")]
+
+
+def _bytes_in(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())

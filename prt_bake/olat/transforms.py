@@ -75,9 +75,10 @@ def frame(picture: Picture, coordinates: Coordinates) -> dict[str, Any]:
 
 
 def _at(position: list[float]) -> list[list[float]]:
+    """The matrix [4,4] of a translation."""
     matrix = np.eye(4)
     matrix[:3, 3] = position
-    return matrix.tolist()  # type: ignore[no-any-return]
+    return matrix.tolist()
 
 
 def _horizontal(settings: OlatSettings) -> float:
