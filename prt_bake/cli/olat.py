@@ -77,7 +77,7 @@ def _lines(found: "SetScore") -> list[str]:
     report, lines = found.as_json(), []
     for metric in ("mse", "psnr", "ssim", "flip"):
         line = f"{metric:<5} {report['measured'][metric]['value']:<10.4g}"
-        free, noise = report["noise_free"][metric], report["of_noise"][metric]["value"]
+        free, noise = report["noise_free"][metric], report["of_noise"][metric]
         if free["value"] == free["value"]:
             line += f" without noise {free['value']:<10.4g}"
             line += f" ({free['low']:.4g} to {free['high']:.4g})" if free["low"] == free["low"] else ""

@@ -36,16 +36,16 @@ def sample(
         ),
     ] = False,
     views: Annotated[int | None, _of_olat("cameras of the training set; by default 16.")] = None,
-    lights: Annotated[int | None, _of_olat("lights of the training set; by default 16.")] = None,
+    lights: Annotated[int | None, _of_olat("lights of the training set; by default 8.")] = None,
     test_views: Annotated[int | None, _of_olat("cameras of the test set; by default 8.")] = None,
-    test_lights: Annotated[int | None, _of_olat("lights of the test set; by default 8.")] = None,
+    test_lights: Annotated[int | None, _of_olat("lights of the test set; by default 2.")] = None,
     size: Annotated[
         Any,
         typer.Option(
             parser=read_size, metavar="WxH", help="With --olat: pixels; by default 256x256.", show_default=False
         ),
     ] = None,
-    spp: Annotated[int | None, _of_olat("paths per pixel; by default 256.", 2)] = None,
+    spp: Annotated[int | None, _of_olat("paths per pixel; by default 64.", 2)] = None,
     skies: Annotated[
         list[Path] | None,
         typer.Option(

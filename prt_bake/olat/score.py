@@ -6,7 +6,8 @@ the references of their objects' median luminance becomes 0.18, so that dark pic
 
 The figures of a set are means over its pictures, and the intervals those of a bootstrap over pictures. Without noise
 means: the variance of both pictures is subtracted from the squared error, and FLIP and SSIM are extrapolated
-(`prt_bake.comparison.noise_free`). Predictions without an error layer count as exact.
+(`prt_bake.comparison.noise_free`). The uncertainty of the extrapolation is common to all pictures; the interval includes
+it. Predictions without an error layer count as exact.
 """
 
 import json
@@ -33,6 +34,9 @@ from prt_bake.olat.pictures import SKIES, TEST
 
 METRICS = ("mse", "ssim", "flip")
 _SUFFIXES = (".exr", ".png")
+_UNKNOWN = Interval(math.nan, math.nan, math.nan)
+_FEWEST = 8
+"""Pictures; fewer give no interval."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +44,13 @@ class PictureScore:
     """The metrics of one picture, the same without noise, and those of noise alone."""
 
     measured: dict[str, float]
-    noise_free: dict[str, float] = field(default_factory=dict)
+    noise_free: dict[str, Interval] = field(default_factory=dict)
     of_noise: dict[str, float] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        noise_free = {metric: found.as_json() for metric, found in self.noise_free.items()}
+        return {"measured": self.measured, "noise_free": noise_free, "of_noise": self.of_noise}
 
 
 @dataclass(frozen=True)
@@ -51,20 +60,39 @@ class SetScore:
     exposure: float
     pictures: dict[str, PictureScore]
 
-    def mean(self, metric: str, part: str = "measured") -> Interval:
-        """The mean over pictures of a metric, with its interval; part: a field of `PictureScore`."""
-        values = [getattr(score, part).get(metric, np.nan) for score in self.pictures.values()]
-        return ratio(np.array(values), np.ones(len(values)), 0)
+    def measured(self, metric: str) -> Interval:
+        """The mean of a metric over pictures, with its interval."""
+        return _mean([score.measured[metric] for score in self.pictures.values()])
+
+    def noise_free(self, metric: str) -> Interval:
+        """The same without noise; NaN if noise was kept."""
+        found = [score.noise_free.get(metric, _UNKNOWN) for score in self.pictures.values()]
+        mean = _mean([each.value for each in found])
+        if metric == "mse" or not np.isfinite(mean.value) or len(found) < _FEWEST:
+            return mean
+        lows, highs = [each.low for each in found], [each.high for each in found]
+        # An end of the interval without bounds of its own is that of pictures at the limit of the metric.
+        low, high = _mean(lows).low, _mean(highs).high
+        return Interval(
+            mean.value,
+            float(low if np.isfinite(low) else np.mean(lows)),
+            float(high if np.isfinite(high) else np.mean(highs)),
+        )
+
+    def of_noise(self, metric: str) -> float:
+        """The mean of a metric over pictures that differ by noise alone; NaN if noise was kept."""
+        return _mean([score.of_noise.get(metric, np.nan) for score in self.pictures.values()]).value
 
     def as_json(self) -> dict[str, Any]:
         """Plain JSON values; PSNR is that of the mean squared error, with a peak of 1."""
-        parts = ("measured", "noise_free", "of_noise")
         report: dict[str, Any] = {"pictures": len(self.pictures), "exposure": self.exposure}
-        for part in parts:
-            means = {metric: self.mean(metric, part) for metric in METRICS}
+        for part in (self.measured, self.noise_free):
+            means = {metric: part(metric) for metric in METRICS}
             means["psnr"] = psnr(means["mse"])
-            report[part] = {metric: mean.as_json() for metric, mean in means.items()}
-        report["by_picture"] = {name: vars(score) for name, score in self.pictures.items()}
+            report[part.__name__] = {metric: mean.as_json() for metric, mean in means.items()}
+        report["of_noise"] = {metric: self.of_noise(metric) for metric in METRICS}
+        report["of_noise"]["psnr"] = _decibels(report["of_noise"]["mse"])
+        report["by_picture"] = {name: score.as_json() for name, score in self.pictures.items()}
         return report
 
 
@@ -119,6 +147,10 @@ def psnr(mse: Interval) -> Interval:
     return Interval(*(_decibels(error) for error in (mse.value, mse.high, mse.low)))
 
 
+def _mean(values: list[float]) -> Interval:
+    return ratio(np.array(values), np.ones(len(values)), 0)
+
+
 def _decibels(error: float) -> float:
     if error == 0.0:
         return math.inf
@@ -165,12 +197,13 @@ def _score(path: Path, reference_path: Path, stops: float, keep_noise: bool) -> 
     found = compare(filled.image, reference.image, mask, stops)
     measured = {metric: float(getattr(found, metric)) for metric in METRICS}
     if keep_noise or np.array_equal(filled.image, reference.image):
-        return PictureScore(measured, {} if keep_noise else measured)
+        exact = {metric: Interval(value, value, value) for metric, value in measured.items()}
+        return PictureScore(measured, {} if keep_noise else exact)
     errors = _errors(path, image, reference, mask)
     noise_free = compare_without_noise(filled.image, reference.image, errors, mask, stops)
     return PictureScore(
         measured,
-        {metric: noise_free.figures[metric].value for metric in METRICS},
+        {metric: noise_free.figures[metric] for metric in METRICS},
         {metric: noise_free.of_noise[metric] for metric in METRICS},
     )
 

@@ -23,12 +23,12 @@ class OlatSettings:
     """
 
     views: int = 16
-    lights: int = 16
+    lights: int = 8
     test_views: int = 8
-    test_lights: int = 8
+    test_lights: int = 2
     width: int = 256
     height: int = 256
-    spp: int = 256
+    spp: int = 64
     seed: int = 0
     subsurface: bool = False
     light_diameter: float = 0.0

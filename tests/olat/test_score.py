@@ -61,29 +61,34 @@ def _predict(folder: Path, picture: np.ndarray, first_seed: int | None) -> Path:
 
 def test_the_references_are_perfect(references: Path) -> None:
     found = score(references, references)["test"]
-    for part in ("measured", "noise_free"):
-        assert found.mean("mse", part).value == found.mean("flip", part).value == 0.0
-        assert found.mean("ssim", part).value == 1.0
-    assert psnr(found.mean("mse")).value == math.inf
+    for part in (found.measured, found.noise_free):
+        assert part("mse").value == part("flip").value == 0.0
+        assert part("ssim").value == part("ssim").low == 1.0
+    assert psnr(found.measured("mse")).value == math.inf
 
 
 def test_an_independent_rendering_differs_by_its_noise_alone(references: Path, tmp_path: Path) -> None:
     found = score(_predict(tmp_path, _truth(), 100), references)["test"]
     exposed = (SIGMA * 2.0**found.exposure) ** 2
-    assert found.mean("mse").value == pytest.approx(2.0 * exposed, rel=0.05)
-    assert found.mean("mse", "of_noise").value == pytest.approx(2.0 * exposed, rel=1e-3)
-    free = found.mean("mse", "noise_free")
+    assert found.measured("mse").value == pytest.approx(2.0 * exposed, rel=0.05)
+    assert found.of_noise("mse") == pytest.approx(2.0 * exposed, rel=1e-3)
+    free = found.noise_free("mse")
     assert free.low - 0.02 * exposed < 0.0 < free.high + 0.02 * exposed
     assert abs(free.value) < 0.05 * exposed
-    assert found.mean("flip", "noise_free").value < 0.5 * found.mean("flip").value
-    assert found.mean("ssim", "noise_free").value > 0.95 > found.mean("ssim").value
+    assert found.noise_free("flip").value < 0.5 * found.measured("flip").value
+    assert found.noise_free("ssim").value > 0.95 > found.measured("ssim").value
+    for metric, perfect in (("flip", 0.0), ("ssim", 1.0)):
+        interval = found.noise_free(metric)
+        assert interval.low <= perfect + 0.01 * (metric == "flip")
+        assert interval.high >= perfect - 0.01
+        assert interval.low < interval.high  # the uncertainty of the extrapolation remains
 
 
 def test_an_error_beneath_the_noise_is_found(references: Path, tmp_path: Path) -> None:
     offset = 0.6 * SIGMA
     found = score(_predict(tmp_path, _truth() + offset, None), references, exposure=1.0)["test"]
-    free = found.mean("mse", "noise_free")
-    assert found.mean("mse").value == pytest.approx(4.0 * (offset**2 + SIGMA**2), rel=0.05)
+    free = found.noise_free("mse")
+    assert found.measured("mse").value == pytest.approx(4.0 * (offset**2 + SIGMA**2), rel=0.05)
     assert free.value == pytest.approx(4.0 * offset**2, rel=0.1)
     assert free.low < free.value < free.high
     assert psnr(free).value == pytest.approx(-20.0 * math.log10(2.0 * offset), abs=0.5)
@@ -102,12 +107,13 @@ def test_the_background_does_not_count_and_png_is_read(references: Path, tmp_pat
         path.parent.mkdir(exist_ok=True)
         write_image(path, picture)
     found = score(tmp_path, references)["test"]
-    assert abs(found.mean("mse", "noise_free").value) < 0.05 * found.mean("mse").value
+    assert abs(found.noise_free("mse").value) < 0.05 * found.measured("mse").value
 
 
 def test_noise_is_kept_on_request(references: Path, tmp_path: Path) -> None:
     found = score(_predict(tmp_path, _truth(), None), references, keep_noise=True)["test"]
-    assert math.isnan(found.mean("mse", "noise_free").value) and found.mean("mse").value > 0.0
+    assert math.isnan(found.noise_free("mse").value)
+    assert found.measured("mse").value > 0.0
 
 
 def test_psnr_falls_with_the_error() -> None:
@@ -139,7 +145,8 @@ def test_a_wrong_picture_is_named(references: Path, tmp_path: Path, damage, mess
     damage(_predict(tmp_path, _truth(), None) / "test/v000_l003.exr")
     with pytest.raises((QueryError, StorageError), match=message) as raised:
         score(tmp_path, references, keep_noise=True)
-    assert str(tmp_path) in str(raised.value) and str(raised.value).count("\n") == 0
+    assert str(tmp_path) in str(raised.value)
+    assert str(raised.value).count("\n") == 0
 
 
 def test_the_random_numbers_of_the_reference_are_refused(references: Path, tmp_path: Path) -> None:

@@ -58,7 +58,8 @@ def test_a_reader_of_blender_cameras_finds_the_object_where_it_is_seen(tmp_path:
     contents = json.loads((tmp_path / "set" / "transforms_train.json").read_text())
     matrix = np.array(json.loads((tmp_path / "set" / "dataset.json").read_text())["coordinates"]["scene_to_dataset"])
     points = scene.mesh.positions @ matrix[:3, :3].T + matrix[:3, 3]
-    assert np.abs(points).max() == pytest.approx(0.5) and np.linalg.det(matrix[:3, :3]) > 0.0
+    assert np.abs(points).max() == pytest.approx(0.5)
+    assert np.linalg.det(matrix[:3, :3]) > 0.0
     up_there = matrix[:3, :3] @ ([0.0, 1.0, 0.0] if up == "y" else [0.0, 0.0, 1.0])
     assert up_there[2] == pytest.approx(np.linalg.norm(up_there))
     for frame in contents["frames"]:
@@ -66,14 +67,14 @@ def test_a_reader_of_blender_cameras_finds_the_object_where_it_is_seen(tmp_path:
         height, width = coverage.shape
         focal = 0.5 * width / math.tan(0.5 * contents["camera_angle_x"])
         seen = np.linalg.inv(frame["transform_matrix"]) @ np.column_stack([points, np.ones(len(points))]).T
-        assert (seen[2] < -contents["camera_near"]).all() and (seen[2] > -contents["camera_far"]).all()
+        assert (seen[2] < -contents["camera_near"]).all()
+        assert (seen[2] > -contents["camera_far"]).all()
         columns = width / 2 + focal * seen[0] / -seen[2]
         rows = height / 2 - focal * seen[1] / -seen[2]
         met = np.argwhere(coverage > 0.0)
         assert np.abs(met.min(axis=0) + 0.5 - [rows.min(), columns.min()]).max() < 1.0
         assert np.abs(met.max(axis=0) + 0.5 - [rows.max(), columns.max()]).max() < 1.0
-        inside = coverage[np.clip(rows.round(), 1, height - 1).astype(int) - 1, columns.astype(int)]
-        assert np.mean(inside > 0.0) > 0.8
+        assert np.mean(coverage[rows.astype(int), columns.astype(int)] > 0.0) > 0.9
 
 
 def test_no_camera_and_no_light_is_in_both_sets_and_no_picture_shares_its_random_numbers(tmp_path: Path) -> None:
@@ -89,8 +90,11 @@ def test_no_camera_and_no_light_is_in_both_sets_and_no_picture_shares_its_random
         if picture.direction is not None:
             assert np.linalg.norm(picture.direction) == pytest.approx(1.0)
             lights[picture.set].add(tuple(picture.direction))
-    assert len(lights["train"]) == 16 and len(lights["test"]) == 8 and len(eyes["train"]) == 8
-    assert not lights["train"] & lights["test"] and not eyes["train"] & eyes["test"]
+    assert len(lights["train"]) == 16
+    assert len(lights["test"]) == 8
+    assert len(eyes["train"]) == 8
+    assert not lights["train"] & lights["test"]
+    assert not eyes["train"] & eyes["test"]
     assert eyes["held_out_skies"] == eyes["test"]
     assert np.linalg.norm(np.mean(list(lights["train"]), axis=0)) < 0.1
 
@@ -140,7 +144,8 @@ def test_a_stopped_run_continues_to_the_same_files(tmp_path: Path) -> None:
     done = stopped.write(lambda: next(calls) > 9, lambda _share, _text: None)
     assert 0 < done < len(stopped.pictures)
     report = json.loads((tmp_path / "set" / "dataset.json").read_text())
-    assert not report["complete"] and len(report["pictures"]) == done
+    assert not report["complete"]
+    assert len(report["pictures"]) == done
     assert len(json.loads((tmp_path / "set" / "transforms_train.json").read_text())["frames"]) == done
     again = _make(scene, tmp_path / "set")
     assert not again.missing
