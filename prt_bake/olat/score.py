@@ -6,8 +6,8 @@ the references of their objects' median luminance becomes 0.18, so that dark pic
 
 The figures of a set are means over its pictures, and the intervals those of a bootstrap over pictures. Without noise
 means: the variance of both pictures is subtracted from the squared error, and FLIP and SSIM are extrapolated
-(`prt_bake.comparison.noise_free`). The uncertainty of the extrapolation is common to all pictures; the interval includes
-it. Predictions without an error layer count as exact.
+(`prt_bake.comparison.noise_free`). The uncertainty of the extrapolation is common to all pictures, and the interval
+includes it. Predictions without an error layer count as exact.
 """
 
 import json

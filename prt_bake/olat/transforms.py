@@ -22,7 +22,7 @@ import numpy as np
 
 from formats.json_report import write_report
 from prt_bake.olat.pictures import SETS, Coordinates, Picture
-from prt_bake.olat.settings import IRRADIANCE, OlatSettings
+from prt_bake.olat.settings import OlatSettings
 
 DISTANCE = 50.0
 """Of `pl_pos` from the object's centre, in lengths of the object. GS³'s shadow cameras see up to 100."""
@@ -61,13 +61,14 @@ def frame(picture: Picture, coordinates: Coordinates) -> dict[str, Any]:
     if picture.direction is None:
         return {**entry, "environment": picture.sky}
     towards = coordinates.directions(picture.direction)
+    irradiance = picture.lighting.suns[0].irradiance
     position = (DISTANCE * towards).tolist()
     return {
         **entry,
         "light_direction": towards.tolist(),
-        "light_irradiance": [IRRADIANCE] * 3,
+        "light_irradiance": irradiance.tolist(),
         "pl_pos": position,
-        "pl_intensity": [IRRADIANCE * DISTANCE**2] * 3,
+        "pl_intensity": (irradiance * DISTANCE**2).tolist(),
         "light_positions": [position],
         "file_paths": [picture.name],
         "transform_matrix_sun": _at(position),

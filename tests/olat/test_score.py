@@ -100,14 +100,28 @@ def test_the_exposure_is_that_of_all_references(references: Path) -> None:
     assert 2.0**found.exposure * luminance == pytest.approx(0.18, rel=0.03)
 
 
-def test_the_background_does_not_count_and_png_is_read(references: Path, tmp_path: Path) -> None:
+def _write_pngs(folder: Path, picture: np.ndarray, alpha: np.ndarray | None = None) -> Path:
+    (folder / "test").mkdir(parents=True)
     for number in range(COUNT):
-        picture = np.where(_coverage()[..., None] == 1.0, _truth(), 1.0)
-        path = tmp_path / f"test/v000_l{number:03d}.png"
-        path.parent.mkdir(exist_ok=True)
-        write_image(path, picture)
-    found = score(tmp_path, references)["test"]
-    assert abs(found.noise_free("mse").value) < 0.05 * found.measured("mse").value
+        write_image(folder / f"test/v000_l{number:03d}.png", picture, alpha=alpha)
+    return folder
+
+
+def test_the_background_does_not_count_and_png_is_read(references: Path, tmp_path: Path) -> None:
+    found = []
+    for background in (0.0, 1.0):
+        picture = np.where(_coverage()[..., None] == 1.0, _truth(), background)
+        found.append(score(_write_pngs(tmp_path / f"{background}", picture), references)["test"])
+    assert abs(found[0].noise_free("mse").value) < 0.05 * found[0].measured("mse").value
+    for metric in ("mse", "ssim", "flip"):
+        assert found[0].measured(metric) == found[1].measured(metric)
+
+
+def test_colours_of_png_are_multiplied_by_its_alpha(references: Path, tmp_path: Path) -> None:
+    half = _write_pngs(tmp_path / "half", 0.5 * _truth(), np.full((SIDE, SIDE), 0.5))
+    same = _write_pngs(tmp_path / "same", 0.5 * _truth())
+    errors = [score(path, references, keep_noise=True)["test"].measured("mse").value for path in (half, same)]
+    assert errors[0] == pytest.approx(errors[1], rel=0.02)
 
 
 def test_noise_is_kept_on_request(references: Path, tmp_path: Path) -> None:

@@ -108,10 +108,13 @@ def test_a_picture_is_that_of_the_scene_under_the_light_of_its_frame(tmp_path: P
     turn = np.array(json.loads((tmp_path / "set" / "dataset.json").read_text())["coordinates"]["scene_to_dataset"])
     towards = np.linalg.solve(turn[:3, :3], frame["light_direction"])
     red, green, blue = frame["light_irradiance"]
+    assert red == green == blue == pytest.approx(math.pi)  # as README.md says
     light = read_lighting(f"sun:{','.join(map(repr, towards.tolist()))}:{red},{green},{blue}")
     shown = {"shown": "scattered"} if subsurface else {"reflection": True}
     other = render_scene(scene, light, olat.pictures[0].camera, 64, 99, background=False, **shown)
     picture = _read(tmp_path / "set", frame)
+    shows = "unscattered light left out" if subsurface else "light reflected at the surface"
+    assert json.loads((tmp_path / "set" / "dataset.json").read_text())["shows"] == f"subsurface light, {shows}"
     assert abs(z_score(picture, other)) < 4.0
     assert np.abs(mean_z(picture, other)).max() < 4.0
     far, intensity = np.array(frame["pl_pos"]), np.array(frame["pl_intensity"])
