@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from formats.extras import require
+from prt_bake.cli.olat import score_folders
 from prt_bake.cli.shared.bounds import Bounds, FailAbove, FailBelow
 from prt_bake.cli.shared.kinds import refuse_other_kinds
 from prt_bake.cli.shared.options import AsJson, Exposure, optional_output
@@ -34,7 +35,14 @@ def _read_range(text: str | tuple[float, float]) -> tuple[float, float]:
 
 def compare(
     image: Annotated[Path, typer.Argument(metavar="IMAGE", help=".exr, .hdr, .png or .jpg.")],
-    reference: Annotated[Path, typer.Argument(metavar="REFERENCE", help="Reference image of the same size.")],
+    reference: Annotated[
+        Path,
+        typer.Argument(
+            metavar="REFERENCE",
+            help="Reference image of the same size. Or two folders: predicted pictures, and a test set of `prtbake "
+            "sample --olat`.",
+        ),
+    ],
     mask: Annotated[
         Path | None,
         typer.Option(
@@ -85,8 +93,16 @@ def compare(
     Prints MSE, relative MSE and RMSE, SSIM (full and quarter size), FLIP and HDR-FLIP. If the images have an error
     layer, as .exr files of `prtbake render` and `prtbake shade` do, the figures are also estimated without that noise,
     each with a 95 % confidence interval. Warns if only one of two images by `prtbake render` holds unscattered or
-    reflected light. Ignores pixels that are transparent in both images.
+    reflected light. Ignores pixels that are transparent in both images. Of two folders, prints the means over pictures.
     """
+    if image.is_dir() or reference.is_dir():
+        only_pictures = {"--mask": mask, "--hdr-exposures": hdr_exposures, "--picture": picture}
+        only_pictures |= {"--difference-map": difference_map, "--flip-map": flip_map, "--hdr-flip-map": hdr_flip_map}
+        only_pictures |= {"--fail-above": fail_above, "--fail-below": fail_below}
+        for option, value in only_pictures.items():
+            if value:
+                raise typer.BadParameter(f"{option} is for two images; leave it out to compare folders")
+        return score_folders(image, reference, exposure or None, keep_noise, as_json)
     outputs = {"--picture": picture, "--difference-map": difference_map}
     outputs |= {"--flip-map": flip_map, "--hdr-flip-map": hdr_flip_map}
     check_outputs(outputs, {"IMAGE": image, "REFERENCE": reference, "--mask": mask})

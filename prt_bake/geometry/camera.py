@@ -98,6 +98,11 @@ class Camera:
         along = self.target - self.eye
         return np.asarray(along / np.linalg.norm(along))
 
+    @property
+    def axes(self) -> Array:
+        """Unit vectors [3,3], as rows: to the right and upwards in the picture, and forward."""
+        return np.stack([*_across(self.forward, self.up), self.forward])
+
     def towards(self, positions: ArrayLike) -> Array:
         """Directions [N,3] from points [N,3] to the eye, not normalised; all equal for an orthographic camera."""
         points = np.asarray(positions, np.float64)
