@@ -221,5 +221,7 @@ def _values(
         result = task.transport.evaluate_block(pool.incident, rotation, positions, outgoing)
         return as_radiance(result, expected, "evaluate_block")
     incident = pool.incident[rotation].reshape(-1, directions, 3)
-    result = task.transport.evaluate(incident, np.repeat(positions, rotation.shape[1], axis=0), outgoing.reshape(-1, 3))
+    # Copies: a transport of a user may write into what it is given.
+    at, eye = np.repeat(positions, rotation.shape[1], axis=0), np.array(outgoing.reshape(-1, 3))
+    result = task.transport.evaluate(incident, at, eye)
     return as_radiance(result, (len(incident), directions, 3), "evaluate").reshape(expected)

@@ -19,5 +19,6 @@ def values_at(transport: Any, incident: Array, taken: Index, positions: Array, o
     if transport_kind(transport) == "block":
         result = transport.evaluate_block(incident, taken[:, None], positions, outgoing[:, None])
         return as_radiance(result, (len(taken), 1, directions, 3), "evaluate_block")[:, 0]
-    result = transport.evaluate(incident[taken], positions, outgoing)
+    # Copies: a transport of a user may write into what it is given.
+    result = transport.evaluate(incident[taken], np.array(positions), np.array(outgoing))
     return as_radiance(result, (len(taken), directions, 3), "evaluate")

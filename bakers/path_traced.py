@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.transport import WalkBlockTransport, as_radiance
+from bakers.transport import WalkBlockTransport, as_radiance, label
+from formats.arguments import described
+from formats.errors import QueryError
 
 Array = NDArray[np.float64]
 
@@ -64,14 +66,14 @@ def walk_block(
 ) -> tuple[Array, Array, WalkStatistics]:
     """Coefficients [n,B,K,3] at positions [n,3] seen along outgoing [n,B,3], their variances [n,B,K,3], and statistics.
 
-    A vertex's numbers depend on its own seed alone. Raises QueryError if the transport returns another shape.
+    A vertex's numbers depend on its own seed alone. Raises QueryError if the transport returns another
+    shape, or errors that are negative or NaN.
     """
     seeds = [walks.seed(first_vertex + row) for row in range(len(positions))]
     shape = (*outgoing.shape[:2], (walks.degree + 1) ** 2, 3)
     if isinstance(transport, WalkBlockTransport):
         estimate = transport.estimate_block(positions, outgoing, walks.degree, walks.paths, seeds)
-        mean = as_radiance(estimate.mean, shape, "estimate_block")
-        error = as_radiance(estimate.standard_error, shape, "estimate_block")
+        mean, error = _mean_and_error(estimate, shape, transport, "estimate_block")
         statistics = estimate.statistics
     else:
         mean, error = _vertex_by_vertex(transport, walks, positions, outgoing, seeds)
@@ -87,7 +89,28 @@ def _vertex_by_vertex(
     bins = outgoing.shape[1]
     expected = (bins, (walks.degree + 1) ** 2, 3)
     for x, eye, seed in zip(positions, outgoing, seeds, strict=True):
-        estimate = transport.estimate_coefficients(np.repeat(x[None], bins, 0), eye, walks.degree, walks.paths, seed)
-        means.append(as_radiance(estimate.mean, expected, "estimate_coefficients"))
-        errors.append(as_radiance(estimate.standard_error, expected, "estimate_coefficients"))
+        at = np.repeat(x[None], bins, 0)
+        estimate = transport.estimate_coefficients(at, np.array(eye), walks.degree, walks.paths, seed)
+        mean, error = _mean_and_error(estimate, expected, transport, "estimate_coefficients")
+        means.append(mean)
+        errors.append(error)
     return np.stack(means), np.stack(errors)
+
+
+def _mean_and_error(estimate: Any, shape: tuple[int, ...], transport: Any, method: str) -> tuple[Array, Array]:
+    """The mean and the standard error of an estimate; raises QueryError if they are no such numbers."""
+    if not hasattr(estimate, "mean") or not hasattr(estimate, "standard_error"):
+        raise QueryError(
+            f"{label(transport)}.{method}: expected an object with mean and standard_error, such as a SimpleNamespace, "
+            f"found {described(estimate)}"
+        )
+    mean = as_radiance(estimate.mean, shape, f"mean of {method}")
+    error = as_radiance(estimate.standard_error, shape, f"standard_error of {method}")
+    # Where the mean is not finite the vertex is not valid, and its error does not matter.
+    wrong = np.isfinite(mean) & ~(error >= 0.0)
+    if wrong.any():
+        raise QueryError(
+            f"{label(transport)}.{method}: expected standard errors of 0 or more, found {error[wrong][0]:.4g} for "
+            f"{wrong.sum()} of {wrong.size} means"
+        )
+    return mean, error

@@ -91,8 +91,13 @@ def transport_kind(transport: object) -> TransportKind:
 
 
 def on_mesh(transport: Any, mesh: Mesh) -> Any:
-    """The transport bound to its object's mesh by its method `on`, if it has one."""
-    return transport.on(mesh) if hasattr(transport, "on") else transport
+    """The transport bound to its object's mesh by its method `on`, if it has one; raises QueryError if that is None."""
+    if not hasattr(transport, "on"):
+        return transport
+    bound = transport.on(mesh)
+    if bound is None:
+        raise QueryError(f"{label(transport)}.on: expected a transport, found None; end the method with `return self`")
+    return bound
 
 
 def up_to(transport: Any, degree: int) -> Any:

@@ -55,8 +55,8 @@ def describe(path: str | Path) -> dict[str, Any]:
         PrtbakeError: the file cannot be read as the kind that its suffix names.
     """
     kind = kind_of(path)
-    named = "picture" if kind == "sky" else kind  # not every picture is a sky
-    return {"kind": named, "bytes": Path(path).stat().st_size, **_module(kind).describe(Path(path))}
+    named = "picture" if kind == "sky" else "function" if _is_function(path) else kind  # not every picture is a sky
+    return {"kind": named, "bytes": Path(path).stat().st_size, **_module(kind, path).describe(Path(path))}
 
 
 def find_faults(path: str | Path) -> list[str]:
@@ -68,22 +68,22 @@ def find_faults(path: str | Path) -> list[str]:
     """
     kind = kind_of(path)
     try:
-        faults: list[str] = _module(kind).find_faults(Path(path))
+        faults: list[str] = _module(kind, path).find_faults(Path(path))
     except PrtbakeError as error:
         return [str(error)]
     return faults
 
 
 def find_remarks(path: str | Path) -> list[str]:
-    """Return remarks on a sound file as sentences; only meshes and scenes have some.
+    """Return remarks on a sound file as sentences; only meshes, scenes and ONNX functions have some.
 
     Raises:
         PrtbakeError: the file cannot be read as the kind that its suffix names.
     """
     kind = kind_of(path)
-    if kind not in ("mesh", "scene"):
+    if kind not in ("mesh", "scene") and not _is_function(path):
         return []
-    remarks: list[str] = _module(kind).find_remarks(path)
+    remarks: list[str] = _module(kind, path).find_remarks(Path(path))
     return remarks
 
 
@@ -102,6 +102,10 @@ def _is_samples(path: str | Path) -> bool:
     return is_samples(path)
 
 
-def _module(kind: str) -> Any:
+def _is_function(path: str | Path) -> bool:
+    return Path(path).suffix.lower() == ".onnx"
+
+
+def _module(kind: str, path: str | Path) -> Any:
     """Import the module of one kind alone: that of models loads torch."""
-    return import_module(f"prt_bake.inspection.{kind}")
+    return import_module(f"prt_bake.inspection.{'function' if _is_function(path) else kind}")

@@ -14,6 +14,7 @@ _WHAT = {
     "picture": "picture",
     "scene": "scene: an object and what it is made of",
     "model": "model: a network that was trained on one object",
+    "function": "function: a network of another program, for `prtbake bake --convention`",
     "lights": "lights file, for --light",
     "importance": "importance module of a model; `prtbake render` finds it by its name",
     "asset": "asset: a baked object that can be shown under any light",

@@ -135,6 +135,11 @@ def test_a_function_of_another_program_is_baked_by_its_convention(prtbake: Run, 
     outcome = prtbake("lobes", other, tmp_path / "a.h5", *options[-2:])
     assert outcome.code == 0
     assert (tmp_path / "a.lobes.h5").is_file()
+    if suffix == ".onnx":
+        checked = prtbake("check", other)
+        assert checked.code == 0
+        assert "next: prtbake bake" in checked.err
+        assert "--convention 'incident, position, outgoing'" in checked.err
     undescribed = prtbake("bake", other, "sphere.ply", "-o", tmp_path / "b.h5")
     assert undescribed.code == 1
     assert "describe its 7 inputs there with --convention" in undescribed.err

@@ -11,7 +11,9 @@ from formats.asset.total_error import ErrorInterval
 from formats.errors import FormatError
 from formats.image import write_image
 from formats.mesh import build_mesh, write_mesh
-from prt_bake.inspection import describe, find_faults, overview
+from prt_bake.inspection import describe, find_faults, find_remarks, overview
+from tests.network.functions.test_onnx import FLOAT
+from tests.network.functions.test_onnx import write as onnx_file
 from tests.shading.test_picture import make_asset
 from tests.shapes import ball
 
@@ -28,6 +30,18 @@ def test_a_length_is_in_millimetres_where_the_unit_is_known(tmp_path: Path) -> N
     lines = overview(describe(tmp_path / "b.h5"))
     assert lines["longest side"] == "2 scene units"
     assert lines["complete"] == "no; `prtbake bake --resume` goes on where the bake stopped"
+
+
+def test_an_onnx_function_is_sound_and_named(tmp_path: Path) -> None:
+    path = onnx_file(tmp_path / "a.onnx", [("x", FLOAT, ["n", 7])], [("y", FLOAT, ["n", 3])])
+    assert find_faults(path) == []
+    (remark,) = find_remarks(path)
+    assert remark.startswith("an ONNX function, from x [n, 7] of float32 to y [rows, 3]; `prtbake bake --convention`")
+    lines = overview(describe(path))
+    assert lines["kind"] == "function: a network of another program, for `prtbake bake --convention`"
+    assert (lines["input"], lines["output"]) == ("x [n, 7] of float32", "y [rows, 3]")
+    (fault,) = find_faults(onnx_file(path, [("x", FLOAT, ["n", 9])], [("y", FLOAT, ["n", 3])]))
+    assert "expected one input [rows, 7], found x [n, 9]" in fault
 
 
 def test_an_asset_of_one_light_says_so(tmp_path: Path) -> None:

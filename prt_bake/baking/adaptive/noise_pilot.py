@@ -13,6 +13,7 @@ from bakers.adaptive.records import RefinementSettings
 from bakers.adaptive.view_levels import view_levels
 from bakers.adaptive.view_survey import FULL_LEVELS
 from bakers.evaluation import values_at
+from bakers.transport import label
 from bakers.workers import SINGLE_THREAD, Workers
 from formats.errors import QueryError
 from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
@@ -113,8 +114,8 @@ def _measure_noise(
     if usual > 0.0 and not FLOAT32_RANGE[0] < usual < FLOAT32_RANGE[1]:
         low, high = FLOAT32_RANGE
         raise QueryError(
-            f"{type(job.transport).__name__}: expected coefficients from {low:.2g} to {high:.2g}, which float32 holds, "
-            f"found about {usual:.2g}; scale the transport"
+            f"{label(job.transport)}: expected coefficients from {low:.2g} to {high:.2g}, which float32 holds, found "
+            f"about {usual:.2g}; scale the transport"
         )
     evaluations = 2 * len(bins) * (sum(sizes) + sum(lattice.sizes[:2]))
     return noise, pool_noise, squares, float(residuals[-1].mean()), evaluations

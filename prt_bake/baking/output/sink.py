@@ -79,8 +79,9 @@ def asset_head(
 def network_error(transport: Any) -> ErrorInterval | None:
     """The error that the trainer measured, from the transport's metadata; None if it is unknown."""
     metadata = getattr(transport, "metadata", None) or {}
-    figures = metadata.get("training", {}).get("relative_rmse", {})
-    if figures.get("coefficients") is None:
+    training = metadata.get("training")
+    figures = training.get("relative_rmse") if isinstance(training, dict) else None
+    if not isinstance(figures, dict) or figures.get("coefficients") is None:
         return None
     return ErrorInterval(figures["coefficients"], *(figures.get("coefficients_interval") or ()))
 

@@ -68,6 +68,8 @@ def say_next_of_file(kind: str, file: Path) -> None:
         say_next("prtbake", "init", file, "--material", "jade", *(("--size", "10cm") if needs_a_size(file) else ()))
     elif kind == "scene" and not model.exists():
         say_next("prtbake", "train", file, "-o", model)
+    elif file.suffix.lower() == ".onnx":
+        say_next("prtbake", "bake", file, "MESH", "-o", unused(asset), "--convention", "incident, position, outgoing")
     elif kind in ("scene", "model") and not asset.exists():
         source = model if kind == "scene" else file
         say_next("prtbake", "bake", source, *(() if _knows_its_mesh(source) else ("MESH",)), "-o", asset)

@@ -6,7 +6,6 @@ multilayer perceptron below one another, [3 · rows, 1].
 """
 
 import re
-from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -26,9 +25,13 @@ _SILENT = 4
 """onnxruntime writes its log to stderr; what fails is raised, too."""
 _ROWS = 5
 """A number of rows that is neither that of inputs nor of outputs, for the first run."""
+_MOST_ROWS = 1 << 20
+"""Largest fixed number of rows: each run computes all of them, however few are asked for."""
+_LOCATION = re.compile(rb"\x0a\x08location\x12(.)", re.DOTALL)
+"""The key of an entry of external data (`StringStringEntryProto` in onnx.proto) and the length of its value."""
 
 
-def open_onnx(path: str | Path) -> Callable[[NDArray[np.float64]], Any]:
+def open_onnx(path: str | Path) -> "OnnxFunction":
     """The function [rows, 7] → [rows, 3] of an ONNX file.
 
     Raises:
@@ -45,12 +48,18 @@ def open_onnx(path: str | Path) -> Callable[[NDArray[np.float64]], Any]:
     try:
         session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     except Exception as fault:  # onnxruntime raises many types of errors, with no class in common
-        raise ModelError(f"{path}: {_diagnosis(str(fault), onnxruntime.__version__)}") from None
-    return _OnnxFunction(session, path)
+        text = str(fault)
+        raise ModelError(f"{path}: {_fault_of_weights(Path(path), text) or _diagnosis(text, onnxruntime)}") from None
+    return OnnxFunction(session, path)
 
 
-class _OnnxFunction:
-    """The only input, the only output [rows, 3], and how many rows go into a run."""
+class OnnxFunction:
+    """The function of the only input and the only output [rows, 3].
+
+    Attributes:
+        input, output: name, shape and type in words.
+        rows_per_call: a call of a multiple of it computes no row in vain.
+    """
 
     def __init__(self, session: Any, path: str | Path) -> None:
         self._session = session
@@ -60,7 +69,10 @@ class _OnnxFunction:
         # Without a declared shape the list is empty.
         fits = len(inputs) == 1 and (not inputs[0].shape or (len(inputs[0].shape) == 2 and _is(inputs[0].shape[1], 7)))
         if not fits:
-            raise ModelError(f"{path}: expected one input [rows, 7], found {shapes or 'none'}")
+            raise ModelError(
+                f"{path}: expected one input [rows, 7], found {shapes or 'none'}; wrap the network in one of this "
+                "input, and export that"
+            )
         if inputs[0].type not in _TYPES:
             raise ModelError(
                 f"{path}: expected an input of float32, float64 or float16, found {inputs[0].name} of "
@@ -70,9 +82,18 @@ class _OnnxFunction:
         self._dtype = _TYPES[inputs[0].type]
         rows = inputs[0].shape[0] if inputs[0].shape else None
         self._fixed = rows if isinstance(rows, int) else None
-        self._output = self._only_output()
+        if self._fixed is not None and not 1 <= self._fixed <= _MOST_ROWS:
+            raise ModelError(
+                f"{path}: expected 1 to {_MOST_ROWS} rows, found an input of {self._fixed} rows; export it with a "
+                "dynamic number of rows"
+            )
+        self.rows_per_call = self._fixed or 1
+        self._output, shape = self._only_output()
+        self.input = f"{shapes or self._name} of {np.dtype(self._dtype).name}"
+        self.output = f"{self._output} {shape}"
 
     def __call__(self, rows: NDArray[np.float64]) -> Any:
+        """The outputs [rows, 3] of rows [rows, 7]; raises ModelError if the function fails."""
         if self._fixed is None:
             return self._run([self._output], rows)[0].reshape(-1, 3)
         results = []
@@ -91,13 +112,14 @@ class _OnnxFunction:
             raise ModelError(f"{self._path}: failed on [{len(rows)}, 7] of {kind} ({_reason(str(fault))})") from None
         return found
 
-    def _only_output(self) -> str:
+    def _only_output(self) -> tuple[str, str]:
+        """The name of the output of three numbers a row, and its shape in words."""
         names: list[str] = [each.name for each in self._session.get_outputs()]
         rows = self._fixed or _ROWS
         found = [getattr(value, "shape", None) for value in self._run(names, np.full((rows, 7), 0.5))]
         fitting = [name for name, shape in zip(names, found, strict=True) if shape in ((rows, 3), (3 * rows, 1))]
         if len(fitting) == 1:
-            return fitting[0]
+            return fitting[0], "[rows, 3]" if found[names.index(fitting[0])] == (rows, 3) else "[3 · rows, 1]"
         outputs = ", ".join(
             f"{name} {'that is no tensor' if shape is None else list(shape)}"
             for name, shape in zip(names, found, strict=True)
@@ -115,14 +137,26 @@ def _shown(shape: list[Any]) -> str:
     return f"[{', '.join('rows' if size is None else str(size) for size in shape)}]"
 
 
-def _diagnosis(text: str, version: str) -> str:
+def _fault_of_weights(path: Path, text: str) -> str | None:
+    """What is wrong with the files of weights that a file names, if that is why onnxruntime refuses it."""
+    content, folder = path.read_bytes(), path.parent.resolve()
+    names = {content[at.end() : at.end() + at[1][0]].decode(errors="replace") for at in _LOCATION.finditer(content)}
+    for name in sorted(filter(None, names)):
+        beside = (folder / name).resolve()
+        if Path(name).is_absolute() or not beside.is_relative_to(folder):
+            return f"its weights are in {name}, outside its folder, from where none are read; put both into one folder"
+        if not beside.is_file():
+            return f"its weights are in {name}, which is not beside it; copy both files"
+    if names and ("xternal" in text or "Deserialize tensor" in text):
+        return f"its weights in {', '.join(sorted(names))} do not fit it, or are truncated; copy both files again"
+    return None
+
+
+def _diagnosis(text: str, onnxruntime: Any) -> str:
     """What a user can do about a file that onnxruntime refuses."""
+    version = onnxruntime.__version__
     if "INVALID_PROTOBUF" in text or "No graph was found" in text or "not have a graph" in text:
         return "not an ONNX file, or truncated; export it again, or copy it again"
-    if "External data" in text:
-        missing = re.findall(r'"([^"]+)"', text)
-        name = Path(missing[-1]).name if missing else "another file"
-        return f"its weights are in {name}, which is not beside it; copy both files"
     if "IR version" in text or re.search(r"\bOpset \d+ is under development", text):
         found = re.search(r"(?:IR version: |Opset )(\d+)", text)
         kind = "IR version" if "IR version" in text else "opset"
@@ -138,4 +172,5 @@ def _reason(text: str) -> str:
     text = re.sub(r"\[ONNXRuntimeError\] : \d+ : \w+ : ", "", text)
     text = re.sub(r"^Load model from .*? failed:", "", text)
     text = re.sub(r"\S*/\S+\.(?:cc|h):\d+ .*?\) (?=[A-Z])", "", text)
+    text = re.sub(r"\w+\.(?:cc|h):\d+ \w+ ", "", text)
     return (text.strip().splitlines() or ["no reason given"])[0][:200]

@@ -30,7 +30,7 @@ def open_torchscript(path: str | Path) -> Callable[[NDArray[np.float64]], Any]:
     def call(rows: NDArray[np.float64]) -> Any:
         try:
             with torch.inference_mode():
-                return function(torch.from_numpy(rows).to(dtype))
+                return function(torch.from_numpy(rows).to(dtype, copy=True))  # it may write into its rows
         except RuntimeError as fault:
             last = str(fault).strip().splitlines()[-1]
             kind = str(dtype).removeprefix("torch.")

@@ -195,6 +195,96 @@ def test_weights_in_a_file_of_their_own_must_be_beside_it(tmp_path: Path) -> Non
         load_function(path)
 
 
+def with_weights_in(path: Path, location: str) -> Path:
+    """A file whose 21 weights, 84 bytes, are in another file."""
+    weights = TensorProto(name="w", data_type=FLOAT, dims=[7, 3], data_location=TensorProto.EXTERNAL)
+    for key, value in (("location", location), ("offset", "0"), ("length", "84")):
+        weights.external_data.add(key=key, value=value)
+    graph = helper.make_graph(
+        [helper.make_node("MatMul", ["x", "w"], ["y"])],
+        "weights elsewhere",
+        *([helper.make_tensor_value_info(*each)] for each in (X, Y)),
+        initializer=[weights],
+    )
+    path.write_bytes(
+        helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8).SerializeToString()
+    )
+    return path
+
+
+def test_weights_in_another_file_must_be_whole_and_in_its_folder(tmp_path: Path) -> None:
+    folder = tmp_path / "model"
+    (folder / "sub").mkdir(parents=True)
+    for place in (tmp_path, folder / "sub"):
+        (place / "w.bin").write_bytes(np.ones(21, np.float32).tobytes())
+    path = with_weights_in(folder / "a.onnx", "sub/w.bin")
+    assert load_function(path).evaluate(LIGHT, POSITIONS, LIGHT[:2]).any()
+    for location, sentence in (
+        ("sub/none.bin", "its weights are in sub/none.bin, which is not beside it"),
+        ("../w.bin", r"its weights are in \.\./w\.bin, outside its folder, from where none are read"),
+        (str(tmp_path / "w.bin"), "w.bin, outside its folder"),
+    ):
+        with pytest.raises(ModelError, match=rf"a\.onnx: .*{sentence}"):
+            load_function(with_weights_in(path, location))
+    (folder / "sub" / "w.bin").write_bytes(bytes(40))
+    with pytest.raises(ModelError, match=r"its weights in sub/w.bin do not fit it, or are truncated; copy both files"):
+        load_function(with_weights_in(path, "sub/w.bin"))
+
+
+@pytest.mark.parametrize("rows", [1, 7, 10000])
+def test_a_fixed_number_of_rows_is_filled_up(rows: int, tmp_path: Path) -> None:
+    path = write(tmp_path / "a.onnx", [("x", FLOAT, [rows, 7])], [("y", FLOAT, [rows, 3])])
+    positions = np.random.default_rng(0).random((3000, 3))
+    found = load_function(path, "position, incident, outgoing").evaluate(LIGHT, positions, np.resize(LIGHT, (3000, 3)))
+    np.testing.assert_allclose(found, np.repeat(positions[:, None], 3, axis=1), atol=1e-6)
+
+
+@pytest.mark.parametrize("rows", [0, 1 << 21, 1 << 40])
+def test_an_absurd_number_of_rows_is_refused(rows: int, tmp_path: Path) -> None:
+    path = write(tmp_path / "a.onnx", [("x", FLOAT, [rows, 7])], [("y", FLOAT, [rows, 3])])
+    with pytest.raises(ModelError, match=rf"a\.onnx: expected 1 to 1048576 rows, found an input of {rows} rows"):
+        load_function(path)
+
+
+def test_values_that_depend_on_other_rows_or_on_chance_are_refused(tmp_path: Path) -> None:
+    largest = [
+        helper.make_node("Slice", ["x", "begin", "end", "axis"], ["z"]),
+        helper.make_node("ReduceMax", ["z"], ["m"], axes=[0], keepdims=1),
+        helper.make_node("Div", ["z", "m"], ["y"]),
+    ]
+    random = [
+        helper.make_node("Slice", ["x", "begin", "end", "axis"], ["z"]),
+        helper.make_node("RandomUniformLike", ["z"], ["r"], low=0.9, high=1.1),
+        helper.make_node("Mul", ["z", "r"], ["y"]),
+    ]
+    for rows in ("n", 4):
+        inputs, outputs = [("x", FLOAT, [rows, 7])], [("y", FLOAT, [rows, 3])]
+        with pytest.raises(ModelError, match=r"a\.onnx: .* change with the other rows of a batch, .*\.eval\(\)"):
+            load_function(write(tmp_path / "a.onnx", inputs, outputs, largest))
+        with pytest.raises(ModelError, match=r"a\.onnx: .* they change from call to call, as with dropout"):
+            load_function(write(tmp_path / "a.onnx", inputs, outputs, random))
+    transposed = [
+        helper.make_node("Transpose", ["x"], ["t"]),
+        helper.make_node("Slice", ["t", "begin", "end", "axis"], ["y"]),
+    ]
+    with pytest.raises(ModelError, match="or with rows as columns"):
+        load_function(write(tmp_path / "a.onnx", [("x", FLOAT, [7, "n"])], [("y", FLOAT, None)], transposed))
+
+
+@pytest.mark.parametrize("exporting", [torch.onnx.TrainingMode.TRAINING, torch.onnx.TrainingMode.EVAL])
+def test_batch_normalisation_must_be_exported_in_evaluation_mode(exporting: Any, tmp_path: Path) -> None:
+    layers = torch.nn.Linear(7, 16), torch.nn.BatchNorm1d(16), torch.nn.ReLU(), torch.nn.Linear(16, 3)
+    trained, path = torch.nn.Sequential(*layers).train(), tmp_path / "bn.onnx"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(trained, (torch.rand(4, 7),), str(path), verbose=False, training=exporting, dynamo=False)
+    if exporting == torch.onnx.TrainingMode.EVAL:
+        assert load_function(path).evaluate(LIGHT, POSITIONS, LIGHT[:2]).any()
+    else:
+        with pytest.raises(ModelError, match=r"bn\.onnx: expected values that depend on their own row"):
+            load_function(path)
+
+
 def test_without_onnxruntime_a_sentence_says_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write(tmp_path / "a.onnx", [X], [Y])
     monkeypatch.setattr("formats.extras.find_spec", lambda name: None)

@@ -26,6 +26,25 @@ class Narrow(torch.nn.Module):
         return rows @ torch.ones(9, 3)
 
 
+class Counting(torch.nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("calls", torch.zeros(1))
+
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        self.calls += 1
+        return rows[:, 0:3] * self.calls
+
+
+class Overwriting(torch.nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.gain = torch.nn.Parameter(torch.ones(1, dtype=torch.float64))
+
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        return rows.mul_(2.0)[:, 0:3]
+
+
 def script(module: torch.nn.Module, tmp_path: Path) -> Path:
     path = tmp_path / "script.pt"
     with warnings.catch_warnings():
@@ -62,6 +81,35 @@ def test_separate_and_shared_directions_agree(tmp_path: Path) -> None:
 def test_functions_of_another_shape_are_refused(module: torch.nn.Module, tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"script\.pt"):
         load_function(script(module, tmp_path))
+
+
+def test_a_network_that_was_traced_while_it_was_trained_is_refused(tmp_path: Path) -> None:
+    path, layers = tmp_path / "traced.pt", (torch.nn.Linear(7, 16), torch.nn.Linear(16, 3))
+    for between, cause in (
+        (torch.nn.Dropout(0.1), "from call to call, as with dropout"),
+        (torch.nn.BatchNorm1d(16), "with the other rows of a batch, as with batch normalisation"),
+    ):
+        network = torch.nn.Sequential(layers[0], between, layers[1])
+        for training in (True, False):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                torch.jit.save(torch.jit.trace(network.train(training), torch.rand(4, 7), check_trace=False), str(path))
+            if not training:
+                load_function(path)
+                continue
+            with pytest.raises(ModelError, match=rf"traced\.pt: .*{cause}.* network\.eval\(\)"):
+                load_function(path)
+
+
+def test_a_function_with_a_state_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="from call to call"):
+        load_function(script(Counting(), tmp_path))
+
+
+def test_a_function_may_write_into_its_rows(tmp_path: Path) -> None:
+    transport = load_function(script(Overwriting(), tmp_path), "position, incident, outgoing")
+    found = transport.evaluate([[0, 0, 1]], [[0.1, 0.2, 0.3]], [[0, 0, 1]])
+    np.testing.assert_allclose(found, [[[0.2, 0.4, 0.6]]], rtol=1e-6)
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
