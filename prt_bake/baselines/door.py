@@ -13,6 +13,7 @@ from prt_bake.trainer.run import Part, Progress
 
 BASELINES = {
     "neumip": ("prt_bake.baselines.neumip_training", "train_neumip"),
+    "neumip-pyramid": ("prt_bake.baselines.neumip_training", "train_neumip_pyramid"),
     "neumip-log": ("prt_bake.baselines.neumip_training", "train_neumip_log"),
     "nerfactor": ("prt_bake.baselines.nerfactor_training", "train_nerfactor"),
     "nerfactor-known": ("prt_bake.baselines.nerfactor_pictures", "train_known_light"),

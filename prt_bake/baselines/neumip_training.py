@@ -27,8 +27,12 @@ from prt_bake.trainer.training_data import TrainingData
 
 LEARNING = LearningSettings(muon=False, decay=0.0, bfloat16=False)
 """Adam alone, as published."""
-CONVERGED = StreamSettings(rays="values", walks=64)
-"""Values for its own loss, which is biased by noise: 32 times the walks of the other objective."""
+CONVERGED = StreamSettings(rays="values", walks=64, reuse=32)
+"""Values for its own loss, which is biased by noise, from 64 walks each. Rows are reused, as the published training
+does with its pictures: a walk that connects its events to the light through an interface costs about ten that do not.
+"""
+PYRAMID = 9
+"""Levels of the published pyramid, from 512² texels down to 2²."""
 _L1_SHARE, _LOWEST = 0.1, -0.1
 _BETAS = (0.9, 0.99)
 
@@ -37,6 +41,7 @@ def train_neumip(
     scene: Scene,
     *,
     settings: NeuMIPSettings | None = None,
+    levels: int = 1,
     seed: int = 0,
     device: str = "cpu",
     own_loss: bool = False,
@@ -49,7 +54,8 @@ def train_neumip(
 
     Args:
         scene: the scene to path trace.
-        settings: the model; by default the published size with `seed`.
+        settings: the model; by default the published size with `levels` and `seed`.
+        levels: number of textures, each of half the width of the one before.
         own_loss: use the published loss, log MSE and a tenth of L1, on converged values instead of the objective of
             the neural BSSRDF.
         device: "cpu".
@@ -71,7 +77,7 @@ def train_neumip(
             f"{scene.path}: the boundary of '{smooth.name}' is smooth, and Ŝ has no values behind it, which the loss "
             "of neumip-log needs; train the baseline neumip"
         )
-    chosen, report = settings or NeuMIPSettings(seed=seed), say or (lambda sentence: None)
+    chosen, report = settings or NeuMIPSettings(levels=levels, seed=seed), say or (lambda sentence: None)
     model = train_model(
         scene,
         lambda data, _device: NeuMIPFit(data, chosen, own_loss, report),
@@ -88,6 +94,8 @@ def train_neumip(
 
 train_neumip_log = partial(train_neumip, own_loss=True)
 """`train_neumip` with the published loss."""
+train_neumip_pyramid = partial(train_neumip, levels=PYRAMID)
+"""`train_neumip` with the levels of the published pyramid."""
 
 
 class NeuMIPFit:

@@ -50,7 +50,7 @@ def test_its_model_is_described_checked_baked_and_rendered(prtbake: Run, trained
 def test_an_unknown_baseline_names_those_that_exist(prtbake: Run, trained: Path) -> None:
     run = prtbake("train", "ball.toml", "-o", "n.pt", "--baseline", "neumop", "--steps", 2)
     assert run.code == 1
-    assert "baseline: expected one of neumip, neumip-log" in run.err
+    assert "baseline: expected one of neumip, neumip-pyramid, neumip-log" in run.err
     assert "found 'neumop'" in run.err
 
 

@@ -1,6 +1,8 @@
 """NeuMIP: what it learns, its files, and that bakes take it as they take a network."""
 
 from dataclasses import replace
+from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,7 @@ from formats.errors import ModelError, QueryError
 from formats.mesh import Mesh, build_mesh, write_mesh
 from formats.scene import Scene, read_scene
 from prt_bake.baking.bake import bake
-from prt_bake.baselines import NeuMIP, NeuMIPSettings, train_baseline
+from prt_bake.baselines import BASELINES, NeuMIP, NeuMIPSettings, train_baseline
 from prt_bake.baselines.neumip_training import LEARNING, NeuMIPLearner, own_loss, train_neumip
 from prt_bake.baselines.texture_space import cover
 from prt_bake.geometry.surface import Location, Surface
@@ -341,6 +343,16 @@ def test_a_stopped_training_goes_on_where_it_was(scene: Scene, tmp_path: Path) -
     assert torch.equal(whole.table, resumed.table)
 
 
+def test_the_pyramid_has_nine_levels_that_all_learn(scene: Scene) -> None:
+    module, name = BASELINES["neumip-pyramid"]
+    model = getattr(import_module(module), name)(scene, steps=2, synchronous=True, stream=STREAM, learning=FAST)
+    assert model.settings.sizes == [512, 256, 128, 64, 32, 16, 8, 4, 2]
+    start = NeuMIP(model.settings, scene.mesh, model.spaces)
+    changed = (model.table - start.rounded().table).abs().amax(dim=1) > 0.0
+    firsts = np.cumsum([0, *(space.rows for space in model.spaces)])
+    assert all(changed[first:last].any() for first, last in pairwise(firsts))
+
+
 def test_the_published_loss_needs_values(tmp_path: Path) -> None:
     write_mesh(build_mesh(ball_of_charts().positions, ball_of_charts().faces), tmp_path / "ball.ply")
     (tmp_path / "scene.toml").write_text(SCENE.format(eta=1.3, roughness=0.0))
@@ -349,7 +361,7 @@ def test_the_published_loss_needs_values(tmp_path: Path) -> None:
 
 
 def test_unknown_baselines_and_other_devices_are_refused(scene: Scene) -> None:
-    with pytest.raises(QueryError, match=r"baseline: expected one of neumip, neumip-log.* found 'neumop'"):
+    with pytest.raises(QueryError, match=r"expected one of neumip, neumip-pyramid, neumip-log.* found 'neumop'"):
         train_baseline(scene, "neumop", steps=2)
     with pytest.raises(QueryError, match="learns on the processor only; expected device 'cpu', found 'cuda'"):
         train_baseline(scene, "neumip", steps=2, device="cuda")
