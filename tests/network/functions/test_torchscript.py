@@ -42,7 +42,7 @@ class Overwriting(torch.nn.Module):
         self.gain = torch.nn.Parameter(torch.ones(1, dtype=torch.float64))
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
-        return rows.mul_(2.0)[:, 0:3]
+        return self.gain * rows.mul_(2.0)[:, 0:3]
 
 
 def script(module: torch.nn.Module, tmp_path: Path) -> Path:
