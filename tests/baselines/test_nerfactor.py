@@ -97,7 +97,7 @@ def test_the_albedo_is_bounded_as_published():
     torch.nn.init.constant_(model.albedo_layers[-1].bias, 50.0)
     encoded = model.encode_positions(torch.zeros(1, 3))
     assert model.albedo(encoded)[0].tolist() == pytest.approx([0.8] * 3)
-    assert 0.1 <= model.roughness(encoded).item() <= 1.0
+    assert 0.1 <= model.roughness_at(encoded).item() <= 1.0
 
 
 def test_a_file_holds_the_model_and_its_object(tmp_path):
