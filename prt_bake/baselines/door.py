@@ -4,7 +4,7 @@ from collections.abc import Callable
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from numpy.typing import ArrayLike
 
@@ -99,13 +99,14 @@ def train_baseline(
     if baseline not in BASELINES:
         raise QueryError(f"baseline: expected one of {', '.join(BASELINES)}, found {baseline!r}")
     module, name = BASELINES[baseline]
-    train: TrainBaseline = getattr(import_module(module), name)
+    found: Any = getattr(import_module(module), name)
     if light is not None:
         if baseline not in FROM_PICTURES:
             raise QueryError(
                 f"light: only {' and '.join(FROM_PICTURES)} learn under a light, {baseline} does not; omit it"
             )
-        train = partial(train, sky=light)
+        found = partial(found, sky=light)
+    train: TrainBaseline = found
     return train(
         scene,
         minutes=minutes,

@@ -59,8 +59,8 @@ def train(
         list[str] | None,
         typer.Option(
             metavar="LIGHT",
-            help="Light of the pictures that nerfactor-known and nerfactor-unknown learn from, as in `prtbake shade`; by "
-            "default the sky of the example. Can be repeated.",
+            help="Light of the pictures that nerfactor-known and nerfactor-unknown learn from, as in `prtbake shade`; "
+            "by default the sky of the example. Can be repeated.",
             show_default=False,
         ),
     ] = None,
@@ -94,8 +94,8 @@ def train(
     """Path trace a scene and fit a network to it.
 
     Renders training samples and trains concurrently until the time is used up. Ctrl-C ends the training early and keeps
-    the model; --resume continues it, unless it is one from pictures. Then measures the model and fits its importance module, from which `prtbake
-    render` draws light directions.
+    the model; --resume continues it, unless it learned from pictures. Then measures the model and fits its importance
+    module, from which `prtbake render` draws light directions.
     """
     began = time.perf_counter() - _START_AND_END
     _refuse_ineffective(context, baseline, light)

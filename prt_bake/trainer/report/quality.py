@@ -32,9 +32,8 @@ def quality(error: Interval, minutes: float, walks: float, kind: str = "") -> st
     interval = "" if not math.isfinite(error.low) else f" ({100 * error.low:.1f} to {100 * error.high:.1f})"
     use, worst = _use(error.value), _use(error.high)
     doubt = f" (at the upper end of this range only {worst})" if worst not in ("", use) else ""
-    return (
-        f"the network is {100 * error.value:.1f} % off{interval}: {use}{doubt}{_outlook(error.value, minutes, walks, kind)}"
-    )
+    outlook = _outlook(error.value, minutes, walks, kind)
+    return f"the network is {100 * error.value:.1f} % off{interval}: {use}{doubt}{outlook}"
 
 
 def _use(error: float) -> str:
