@@ -144,7 +144,7 @@ def test_the_share_of_the_lobe_is_what_exceeds_a_lambert_surface(tmp_path):
     model.settings = dataclasses.replace(model.settings, reflectance=0.5)
     queries = QuerySource(prepare(scene), 1, 3).draw(0, 500)
     total = 4.0 * np.pi / 1000 * model.evaluate(fibonacci(1000), queries.positions, queries.outgoing).sum(axis=1).mean()
-    # 512 other queries, views at grazing angles among them
+    # 256 other queries, views at grazing angles among them
     assert lobe_share(model, scene) == pytest.approx(1.0 - 1.0 / total, abs=0.03)
 
 

@@ -79,7 +79,7 @@ def known_light(scene, lights, queries, paths) -> None:
     print("light | exact albedo | limited to 0.03–0.8 | one albedo, least squares of radiance | pixels above 0.8")
     mean = 0.5 * (halves[0] + halves[1])
     for name, light in lights.items():
-        harmonics = project_lighting(light, _DEGREE)[0]
+        harmonics = project_lighting(light, _DEGREE)
         radiance, irradiance = np.einsum("nkc,kc->nc", mean, harmonics), white @ harmonics
         seen = irradiance > 1e-6 * irradiance.max()
         exact = np.divide(radiance, irradiance, out=np.zeros_like(radiance), where=seen)
