@@ -11,6 +11,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "ceiling": ["lambert_ceiling", "measure_ceiling"],
+        "coarse_light": ["coarse_light"],
         "door": ["BASELINES", "train_baseline"],
         "nerfactor": ["NeRFactor"],
         "nerfactor_settings": ["NeRFactorSettings"],

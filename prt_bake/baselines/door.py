@@ -1,12 +1,16 @@
 """`train_baseline`: trains a baseline by its name, as `prtbake train --baseline` does."""
 
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
+
+from numpy.typing import ArrayLike
 
 from formats.errors import QueryError, refuse_path
 from formats.scene import Scene
+from prt_bake.lights.lighting import Lighting
 from prt_bake.network.model import Model
 from prt_bake.trainer.budget import Budget
 from prt_bake.trainer.run import Part, Progress
@@ -20,6 +24,8 @@ BASELINES = {
     "nerfactor-unknown": ("prt_bake.baselines.nerfactor_pictures", "train_unknown_light"),
 }
 """Name → module and function (`TrainBaseline`) that trains it."""
+FROM_PICTURES = ("nerfactor-known", "nerfactor-unknown")
+"""Those that learn from pictures under a light."""
 
 
 class TrainBaseline(Protocol):
@@ -55,6 +61,7 @@ def train_baseline(
     scene: Scene,
     baseline: str,
     *,
+    light: ArrayLike | Lighting | None = None,
     minutes: float = 10.0,
     steps: int | None = None,
     seed: int = 0,
@@ -74,6 +81,8 @@ def train_baseline(
     Args:
         scene: the scene to path trace.
         baseline: one of `BASELINES`.
+        light: the light of the pictures of those `FROM_PICTURES`, a lat-long picture or a lighting; by default the
+            shipped sky.
         minutes, steps, seed, output, resume, synchronous, samples, progress, say, stop, part, budget: as for
             `prt.train`.
         device: where the model learns, "cpu".
@@ -91,7 +100,14 @@ def train_baseline(
     if baseline not in BASELINES:
         raise QueryError(f"baseline: expected one of {', '.join(BASELINES)}, found {baseline!r}")
     module, name = BASELINES[baseline]
-    train: TrainBaseline = getattr(import_module(module), name)
+    found: Any = getattr(import_module(module), name)
+    if light is not None:
+        if baseline not in FROM_PICTURES:
+            raise QueryError(
+                f"light: only {' and '.join(FROM_PICTURES)} learn under a light, {baseline} does not; omit it"
+            )
+        found = partial(found, sky=light)
+    train: TrainBaseline = found
     return train(
         scene,
         minutes=minutes,

@@ -36,6 +36,10 @@ class LitSurface:
         self.mesh, self._kind = mesh, normals
         self._surface, self._visibility = Surface(mesh), Visibility(mesh)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """The rays' acceleration structure is not pickled, but built anew."""
+        return type(self), (self.mesh, self._kind)
+
     def points(self, positions: Array, outgoing: Array) -> Points:
         """Points at positions [N,3] seen along outgoing [N,3]; raises QueryError for positions off the surface."""
         location, _cosines = self._surface.choose(positions, outgoing)

@@ -96,7 +96,7 @@ class NeRFactor(TrainableModel):
             return self.albedo_scale * (_ALBEDO_LOW + _ALBEDO_RANGE * torch.sigmoid(raw))
         return self.albedo_scale * nn.functional.softplus(raw)
 
-    def roughness(self, encoded: Tensor) -> Tensor:
+    def roughness_at(self, encoded: Tensor) -> Tensor:
         """Roughness [N,1] at encoded positions; GGX's alpha is its square."""
         least = self.settings.least_roughness
         return least + (1.0 - least) * torch.sigmoid(_mlp(self.roughness_layers, encoded))
@@ -117,7 +117,7 @@ class NeRFactor(TrainableModel):
 
     def lobe(self, encoded: Tensor, cosines: Tensor, eye: Tensor, between: Tensor) -> Tensor:
         """The glossy part of Ŝ [N,D] at encoded positions; other arguments as in `glossy`."""
-        return glossy(self.roughness(encoded) ** 2, self.settings.reflectance, cosines, eye, between)
+        return glossy(self.roughness_at(encoded) ** 2, self.settings.reflectance, cosines, eye, between)
 
     def evaluate(self, incident: ArrayLike, positions: ArrayLike, outgoing: ArrayLike) -> NDArray[np.float32]:
         """Ŝ [N,D,3] in 1/sr, float32: incident [D,3] shared by all queries or [N,D,3], positions [N,3], outgoing [N,3].

@@ -15,9 +15,10 @@ from formats.errors import QueryError, refuse_path
 from formats.scene import Scene
 from prt_bake.baselines.nerfactor import NeRFactor
 from prt_bake.baselines.nerfactor_settings import NeRFactorSettings
-from prt_bake.baselines.nerfactor_training import refuse_other_device
+from prt_bake.baselines.nerfactor_training import lobe_share, refuse_other_device
 from prt_bake.baselines.picture_fit import PictureFit, PictureSettings
 from prt_bake.lights.environment import read_environment
+from prt_bake.lights.lighting import Lighting
 from prt_bake.network.bssrdf import save_model
 from prt_bake.network.checkpoint import refuse_other_suffix
 from prt_bake.trainer.budget import Budget
@@ -32,7 +33,7 @@ __all__ = ["PictureSettings", "train_from_pictures"]
 def train_from_pictures(
     scene: Scene,
     *,
-    sky: ArrayLike | None = None,
+    sky: ArrayLike | Lighting | None = None,
     light: Literal["unknown", "known"] = "unknown",
     settings: NeRFactorSettings | None = None,
     pictures: PictureSettings | None = None,
@@ -54,7 +55,7 @@ def train_from_pictures(
 
     Args:
         scene: the scene to path trace.
-        sky: the light of the pictures, a lat-long picture [H,W,3]; by default that of the shipped example.
+        sky: the light of the pictures, a lat-long picture [H,W,3] or a lighting; by default the shipped example's sky.
         light: "unknown", as published: its 16 × 32 pixels are fitted, too; "known": they are those of the sky.
         settings: the model; by default the published one with `seed`.
         pictures: the views and the loss.
@@ -91,7 +92,7 @@ def train_from_pictures(
     reference = data.reference(learning, validation_seconds, partial(follow, "validation queries"))
     model = NeRFactor(settings or NeRFactorSettings(seed=seed), scene.mesh, 1.0, metadata_of(scene))
     tell(f"path tracing {chosen.views} pictures, and one to fix the scale of the albedo")
-    fit = PictureFit(model, _shipped_sky() if sky is None else np.asarray(sky, np.float32), light, chosen, seed)
+    fit = PictureFit(model, _shipped_sky() if sky is None else sky, light, chosen, seed)
     fit.trace(scene, timed, partial(follow, "pictures"))
     tell(f"learning; the light is {light}")
     follow("learning", 0.0)
@@ -104,7 +105,7 @@ def train_from_pictures(
             training |= data.errors(network, learning, seconds, partial(follow, "final errors"))
     except KeyboardInterrupt:
         stopped = True
-    training["stopped"] = stopped
+    training |= {"lobe_share": lobe_share(network, scene), "stopped": stopped}
     if output is not None:
         save_model(network, output)
     return network

@@ -13,23 +13,20 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
 from formats.errors import QueryError
-from formats.image.rows import rows_of
 from formats.scene import Scene
+from prt_bake.baselines.coarse_light import coarse_light
 from prt_bake.baselines.nerfactor import NeRFactor
 from prt_bake.baselines.nerfactor_views import View, cameras, light_pixels, path_traced_views
-from prt_bake.lights.environment import check
-from prt_bake.lights.lighting import as_lighting
-from prt_bake.lights.skies.downsampled import shrink
+from prt_bake.lights.lighting import Lighting, as_lighting
 from prt_bake.trainer.budget import Budget
 from prt_bake.trainer.history import TrainingProgress
 from prt_bake.trainer.run import Progress
 from prt_bake.trainer.validation import Reference
 
-LIGHT_ROWS = 16
 _EXPOSED = 0.99
 """Share of the channels of all pixels that the exposure keeps below 1."""
 _PICTURES_SHARE = 0.4
@@ -85,19 +82,19 @@ class PictureFit:
     def __init__(
         self,
         model: NeRFactor,
-        sky: NDArray[np.float32],
+        sky: ArrayLike | Lighting,
         light: Literal["unknown", "known"],
         settings: PictureSettings,
         seed: int,
     ) -> None:
         """Prepare; raises ImageError for a sky that is no picture, and QueryError for a black one."""
-        check(sky, "sky")
-        if not sky.any():
+        self.model, self.settings, self.known, self._seed = model, settings, light == "known", seed
+        up = str(model.metadata.get("up", "y"))
+        self._lighting = as_lighting(sky, up, 0.0)
+        small = coarse_light(self._lighting, up)
+        if not small.any():
             raise QueryError("sky: expected light, found a black picture; give the sky of the pictures")
-        self.model, self.settings, self.known, self._sky, self._seed = model, settings, light == "known", sky, seed
-        self._up = str(model.metadata.get("up", "y"))
-        small = shrink(rows_of(sky), LIGHT_ROWS, 0)[0]
-        self.pixels = light_pixels((LIGHT_ROWS, small.shape[1]), self._up)
+        self.pixels = light_pixels(small.shape[:2], up)
         self._angles = torch.from_numpy(self.pixels.solid_angles.astype(np.float32))
         self._true_light = torch.from_numpy(small)
         self._generator, self._numbers = torch.Generator().manual_seed(seed), np.random.default_rng(seed)
@@ -119,9 +116,8 @@ class PictureFit:
                 return None
             return max(0.01, (_PICTURES_SHARE * budget.total - budget.spent) / (len(eyes) - number))
 
-        lighting = as_lighting(self._sky, self._up, 0.0)
         views, self.walks = path_traced_views(
-            scene, lighting, self.model.lit, self.pixels, eyes, settings.spp, self._seed, seconds, follow
+            scene, self._lighting, self.model.lit, self.pixels, eyes, settings.spp, self._seed, seconds, follow
         )
         self.use(views[:-1], views[-1])
 
@@ -218,7 +214,7 @@ class PictureFit:
         beside = model.encode_relative(encoded[:, :3].double() + steps)
         total = settings.albedo_smoothness * (model.albedo(encoded) - model.albedo(beside)).abs().mean()
         if model.settings.reflectance > 0.0:
-            difference = model.roughness(encoded) - model.roughness(beside)
+            difference = model.roughness_at(encoded) - model.roughness_at(beside)
             total = total + settings.roughness_smoothness * difference.abs().mean()
         if not self.known:
             across, down = (self.light - self.light.roll(1, dims=1)), self.light[1:] - self.light[:-1]

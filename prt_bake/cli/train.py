@@ -10,9 +10,9 @@ import typer
 
 from formats.errors import PrtbakeError
 from formats.extras import EVALUATE, missing_sentence
-from prt_bake.cli.shared.kinds import refuse_other_kinds
+from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.next_step import command, say_next, unused
-from prt_bake.cli.shared.options import Force, Seed, output_option
+from prt_bake.cli.shared.options import Force, Mend, Seed, output_option
 from prt_bake.cli.shared.outputs import Paths, check_outputs, refuse_existing
 from prt_bake.cli.shared.progress import reporting, say, stopping
 from prt_bake.network.file_names import importance_path, report_paths, state_path
@@ -27,6 +27,7 @@ _START_AND_END = 2.0
 
 
 def train(
+    context: typer.Context,
     scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene to train on.")],
     output: Annotated[Path, output_option("MODEL.pt", ".pt", ".safetensors")],
     minutes: Annotated[
@@ -54,6 +55,16 @@ def train(
             show_default=False,
         ),
     ] = None,
+    light: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="LIGHT",
+            help="Light of the pictures that nerfactor-known and nerfactor-unknown learn from, as in `prtbake shade`; "
+            "by default the sky of the example. Can be repeated.",
+            show_default=False,
+        ),
+    ] = None,
+    mend: Mend = False,
     samples: Annotated[
         Path | None,
         typer.Option(
@@ -83,16 +94,17 @@ def train(
     """Path trace a scene and fit a network to it.
 
     Renders training samples and trains concurrently until the time is used up. Ctrl-C ends the training early and keeps
-    the model; --resume continues it. Then measures the model and fits its importance module, from which `prtbake
-    render` draws light directions.
+    the model; --resume continues it, unless it learned from pictures. Then measures the model and fits its importance
+    module, from which `prtbake render` draws light directions.
     """
     began = time.perf_counter() - _START_AND_END
+    _refuse_ineffective(context, baseline, light)
     outputs: dict[str, Paths] = {"--output": output, "the checkpoint": state_path(output)}
     outputs |= {"--report": report_paths(output)} if with_report else {}
     outputs |= {"--importance": importance_path(output)} if with_importance else {}
-    check_outputs(outputs, {"SCENE": scene, "--samples": samples})
+    check_outputs(outputs, {"SCENE": scene, "--samples": samples, "--light": light})
     refuse_existing((output, state_path(output), importance_path(output)), force, resume)
-    refuse_other_kinds({"SCENE": (scene, ("scene",)), "--samples": (samples, ("samples",))})
+    refuse_other_kinds({"SCENE": (scene, ("scene",)), "--samples": (samples, ("samples",)), "--light": (light, LIGHT)})
     if with_report and (missing := missing_sentence(*EVALUATE)):
         say(f"there will be no report: {missing}; `prtbake report training` writes it later")
         with_report = False
@@ -115,6 +127,10 @@ def train(
 
         selected, fitted = "cpu" if device == "auto" else device, partial(train_baseline, baseline=baseline)
     read = read_scene(scene)
+    if light is not None:
+        from prt_bake.lights.lighting import read_lighting
+
+        fitted = partial(fitted, light=read_lighting(light, read.up, mend=mend, say=say, mesh=read.mesh))
     budget = Budget(minutes, began, report=with_report, importance=with_importance) if steps is None else None
     with stopping() as stop:
         stop.at_once = True
@@ -150,7 +166,7 @@ def train(
         for sentence in _figures(network.metadata["training"], output, scene):
             print(f"{output}: {sentence}")
         if network.metadata["training"]["stopped"]:
-            raise PrtbakeError(f"{output}: the training was stopped; the model is written, and --resume continues it")
+            raise PrtbakeError(f"{output}: the training was stopped; the model is written, and {_to_go_on(network)}")
         reported = False
         with suppress(KeyboardInterrupt), nullcontext() if budget is None else budget.counting_compilation():
             if with_report:
@@ -166,6 +182,27 @@ def train(
     say_next("prtbake", "bake", output, read.mesh_path, "-o", unused(output.with_suffix(".h5")), *on)
 
 
+def _refuse_ineffective(context: typer.Context, baseline: str | None, light: list[str] | None) -> None:
+    """Raise typer.BadParameter for options that the chosen model does not have."""
+    preset = context.get_parameter_source("preset")
+    if baseline is not None and preset is not None and preset.name == "COMMANDLINE":
+        raise typer.BadParameter("--preset: is for the network; omit it, since a baseline has the published size")
+    if light is None:
+        return
+    from prt_bake.baselines.door import FROM_PICTURES
+
+    if baseline not in FROM_PICTURES:
+        names = " and ".join(FROM_PICTURES)
+        raise typer.BadParameter(f"--light: is for --baseline {names}; omit it, since other models learn for all light")
+
+
+def _to_go_on(network: "Model") -> str:
+    """What continues a training that was stopped, in words."""
+    if "pictures" in network.metadata["training"]:
+        return "a training from pictures cannot be resumed: run it again, with --force, for a better one"
+    return "--resume continues it"
+
+
 def _details(row: "TrainingProgress") -> str:
     return (
         f"step {row.step} · loss {row.loss:.4g} · {row.queries_per_second:,.0f} queries/s · "
@@ -176,6 +213,8 @@ def _details(row: "TrainingProgress") -> str:
 def _figures(training: dict[str, Any], output: Path, scene: Path) -> list[str]:
     """Return the results of a training as sentences."""
     sentences = [f"{training['steps']} steps, {training['walks']:,} paths in {training['seconds']:.0f} s of learning"]
+    if "lobe_share" in training:
+        sentences.append(f"{training['lobe_share']:.1%} of its Ŝ is its glossy lobe")
     if "test_relative_rmse" in training:
         test, samples = training["test_relative_rmse"], training["samples"]
         sentences.append(

@@ -69,6 +69,7 @@ def _model(figures: Figures) -> dict[str, str]:
         "object": f"that of {figures['scene']}" if figures.get("scene") else "",
         "longest side": _length(figures["box side"], figures.get("unit", NO_UNIT)),
         "error of the coefficients": "" if error is None else str(ErrorInterval(error, *(interval or ()))),
+        "glossy lobe": f"{training['lobe_share']:.1%} of Ŝ" if "lobe_share" in training else "",
         "surface": _surface(figures),
         "up": str(figures.get("up", "")),
         "trained": ", ".join(filter(None, trained)),

@@ -1,6 +1,8 @@
 """NeRFactor as a transport: its BRDF, its visibility, its files, and a bake of it."""
 
+import copy
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -10,10 +12,12 @@ import prt_bake as prt
 from formats.errors import ModelError, QueryError
 from prt_bake.baselines import nerfactor_training
 from prt_bake.baselines.nerfactor import NeRFactor, NeRFactorSettings, glossy
-from prt_bake.baselines.nerfactor_training import LEARNING, train_nerfactor
+from prt_bake.baselines.nerfactor_training import LEARNING, lobe_share, train_nerfactor
 from prt_bake.mathematics.sphere import fibonacci
 from prt_bake.network.bssrdf import load_model, save_model
 from prt_bake.reflection import microfacet
+from prt_bake.tracer.prepared import prepare
+from prt_bake.trainer.samples.queries import QuerySource
 from tests.shapes import ball, ring
 from tests.trainer.small_training import LEARNING as SMALL_LEARNING
 from tests.trainer.small_training import STREAM, make_scene
@@ -97,7 +101,7 @@ def test_the_albedo_is_bounded_as_published():
     torch.nn.init.constant_(model.albedo_layers[-1].bias, 50.0)
     encoded = model.encode_positions(torch.zeros(1, 3))
     assert model.albedo(encoded)[0].tolist() == pytest.approx([0.8] * 3)
-    assert 0.1 <= model.roughness(encoded).item() <= 1.0
+    assert 0.1 <= model.roughness_at(encoded).item() <= 1.0
 
 
 def test_a_file_holds_the_model_and_its_object(tmp_path):
@@ -112,6 +116,36 @@ def test_a_file_holds_the_model_and_its_object(tmp_path):
     positions, normals = on_faces(mesh, np.arange(0, len(mesh.faces), 7))
     expected = model.evaluate(LATTICE[:200], positions, normals)
     np.testing.assert_array_equal(read.evaluate(LATTICE[:200], positions, normals), expected)
+
+
+@pytest.mark.parametrize("copied", [lambda model: pickle.loads(pickle.dumps(model)), copy.deepcopy])
+def test_a_copy_has_the_same_values(copied):
+    model = NeRFactor(SMALL, ring(), metadata={"normals": "vertex"})
+    positions, normals = on_faces(ring(), np.arange(0, 300, 7))
+    other = copied(model)
+    expected = model.evaluate(LATTICE[:200], positions, normals)
+    np.testing.assert_array_equal(other.evaluate(LATTICE[:200], positions, normals), expected)
+    points, incident = model.lit.points(positions, normals), np.broadcast_to(LATTICE[:9], (len(normals), 9, 3))
+    copied_lit = copied(model.lit)
+    np.testing.assert_array_equal(copied_lit.lambert(points, incident), model.lit.lambert(points, incident))
+
+
+def test_a_bake_does_not_depend_on_its_workers():
+    model = NeRFactor(SMALL, ball(1))
+    one, two = (prt.bake(model, ball(1), rings=2, sectors=2, samples=18, workers=workers) for workers in (1, 2))
+    np.testing.assert_array_equal(one.coefficients, two.coefficients)
+
+
+def test_the_share_of_the_lobe_is_what_exceeds_a_lambert_surface(tmp_path):
+    """On a white convex body the diffuse part of ∫ Ŝ dωi is 1."""
+    scene = make_scene(tmp_path)
+    assert lobe_share(white(scene.mesh), scene) == 0.0
+    model = white(scene.mesh)
+    model.settings = dataclasses.replace(model.settings, reflectance=0.5)
+    queries = QuerySource(prepare(scene), 1, 3).draw(0, 500)
+    total = 4.0 * np.pi / 1000 * model.evaluate(fibonacci(1000), queries.positions, queries.outgoing).sum(axis=1).mean()
+    # 256 other queries, views at grazing angles among them
+    assert lobe_share(model, scene) == pytest.approx(1.0 - 1.0 / total, abs=0.03)
 
 
 def test_files_that_do_not_fit_are_refused(tmp_path):
@@ -191,7 +225,13 @@ def test_the_command_trains_it(prtbake, trained, tmp_path, monkeypatch):
     arguments = ["--baseline", "nerfactor", "--steps", 2, "-o", output, "--no-report", "--no-importance"]
     outcome = prtbake("train", scene.path, *arguments)
     assert outcome.code == 0, outcome
-    assert load_model(output).kind == "nerfactor"
+    read = load_model(output)
+    assert read.kind == "nerfactor"
+    assert 0.0 < read.metadata["training"]["lobe_share"] < 1.0
+    assert f"{read.metadata['training']['lobe_share']:.1%} of its Ŝ is its glossy lobe" in outcome.out
+    assert "no BRDF has the light that comes through the object" in outcome.out
+    described = prtbake("info", output)
+    assert f"{read.metadata['training']['lobe_share']:.1%} of Ŝ" in described.out
     assert prtbake("train", scene.path, *arguments, "--force", "--device", "cuda").code != 0
 
 

@@ -107,7 +107,7 @@ def quality_of(network: "Model") -> str:
     from prt_bake.trainer.report.summary import final_error
 
     training = network.metadata["training"]
-    return quality(final_error(training["relative_rmse"]), training["seconds"] / 60.0, training["walks"])
+    return quality(final_error(training["relative_rmse"]), training["seconds"] / 60.0, training["walks"], network.kind)
 
 
 def show_part(show: Report, text: str, share: float, budget: "Budget | None") -> None:

@@ -119,6 +119,7 @@ def _validated_quantity(scene: Scene, training: dict[str, Any]) -> str:
 def _model(network: Any, scene: Scene, training: dict[str, Any]) -> dict[str, Any]:
     seconds, walked = float(training.get("seconds", 0.0)), int(training.get("walks", 0))
     return {
+        "kind": getattr(network, "kind", ""),
         "scene": scene.path.name,
         "scene_hash": scene.content_hash,
         "weights": weights_of(network),

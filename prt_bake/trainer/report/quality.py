@@ -15,12 +15,14 @@ _EXPONENT, _LATE_EXPONENT = 0.16, 0.1
 """The error falls as minutes to the minus this power, first and after `_MANY` (docs/measurements/training.md)."""
 _MANY = 5e7
 """Walks."""
+_LIMITS = {"nerfactor": "more training would bring little: no BRDF has the light that comes through the object"}
+"""Kind of model → what keeps its error from falling with the minutes."""
 _LITTLE = 0.95
 """More training that leaves more than this part of the error is not worth mentioning."""
 
 
-def quality(error: Interval, minutes: float, walks: float) -> str:
-    """Judge a relative RMSE of a_lm after some minutes of learning from some walks.
+def quality(error: Interval, minutes: float, walks: float, kind: str = "") -> str:
+    """Judge a relative RMSE of a_lm after some minutes of learning from some walks, for a model of a kind.
 
     >>> quality(Interval(0.044, 0.041, 0.047), minutes=0.0, walks=1e8)
     'the network is 4.4 % off (4.1 to 4.7): good for final pictures'
@@ -30,18 +32,19 @@ def quality(error: Interval, minutes: float, walks: float) -> str:
     interval = "" if not math.isfinite(error.low) else f" ({100 * error.low:.1f} to {100 * error.high:.1f})"
     use, worst = _use(error.value), _use(error.high)
     doubt = f" (at the upper end of this range only {worst})" if worst not in ("", use) else ""
-    return (
-        f"the network is {100 * error.value:.1f} % off{interval}: {use}{doubt}{_outlook(error.value, minutes, walks)}"
-    )
+    outlook = _outlook(error.value, minutes, walks, kind)
+    return f"the network is {100 * error.value:.1f} % off{interval}: {use}{doubt}{outlook}"
 
 
 def _use(error: float) -> str:
     return next((words for most, words in LEVELS if error <= most), "")
 
 
-def _outlook(error: float, minutes: float, walks: float) -> str:
+def _outlook(error: float, minutes: float, walks: float, kind: str) -> str:
     if not minutes > 0.0:
         return ""
+    if kind in _LIMITS:
+        return f"; {_LIMITS[kind]}"
     more, words = (10.0, "ten minutes more") if minutes < 20.0 else (minutes, "twice the time")
     left = (1.0 + more / minutes) ** -(_EXPONENT if walks < _MANY else _LATE_EXPONENT)
     if left > _LITTLE:

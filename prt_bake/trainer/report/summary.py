@@ -84,7 +84,7 @@ def criterion_line(row: dict[str, Any]) -> str:
 def sentences(found: dict[str, Any]) -> list[str]:
     """The assessment in sentences, the most important first; intervals are 95 % confidence intervals."""
     model, surface = found["model"], surface_error(found)
-    summary = [quality(surface, model["training_seconds"] / 60.0, model["walks"])]
+    summary = [quality(surface, model["training_seconds"] / 60.0, model["walks"], model.get("kind", ""))]
     if found["transport"] is not None:
         summary.append(f"Relative RMSE of Ŝ on fresh queries: {_error_text(found['transport'])}")
     else:

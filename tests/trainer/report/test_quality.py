@@ -31,6 +31,14 @@ def test_more_time_brings_less_the_longer_a_training_was() -> None:
     assert "more would" not in quality(Interval(0.1, 0.09, 0.11), 0.0, 0.0)
 
 
+def test_a_model_at_the_ceiling_of_its_class_is_not_extrapolated() -> None:
+    text = quality(Interval(0.56, 0.5, 0.6), 2.0, 5.8e6, "nerfactor")
+    assert text.endswith(
+        "a rough impression; more training would bring little: no BRDF has the light that comes through the object"
+    )
+    assert "extrapolated" in quality(Interval(0.56, 0.5, 0.6), 2.0, 5.8e6, "neumip")
+
+
 def test_an_unknown_error_or_interval_is_no_number() -> None:
     nan = math.nan
     assert "unknown" in quality(Interval(nan, nan, nan), 1.0, 1e6)
