@@ -35,7 +35,8 @@ def write_olat(scene_path: Path, folder: Path, settings: "OlatSettings", skies: 
     print(
         f"{folder}: {cost.pictures:,} pictures of {settings.width}x{settings.height}, about {_size(cost.bytes)}"
         + (f"; {cost.finished:,} are finished" if cost.finished else "")
-        + (f"; about {in_words(cost.seconds)} for {'the others' if cost.finished else 'all'}" if left else ""),
+        + (f"; about {in_words(cost.seconds)} for {'the others' if cost.finished else 'all'}" if left else "")
+        + (f"; noise under one light about {cost.noise:.0%}" if cost.noise == cost.noise else ""),
         flush=True,
     )
     if dry_run:
@@ -47,7 +48,7 @@ def write_olat(scene_path: Path, folder: Path, settings: "OlatSettings", skies: 
         raise PrtbakeError(
             f"{folder}: stopped; {done:,} of {cost.pictures:,} pictures are finished, and the same command continues"
         )
-    print(f"{folder}: {done:,} pictures; README.md and dataset.json say what they are")
+    print(f"{folder}: {done:,} pictures; dataset.json says what they are")
     say_next("prtbake", "compare", "PREDICTED", folder)
 
 

@@ -23,7 +23,7 @@ def test_a_test_set_is_announced_written_continued_and_scored(prtbake: Run, tmp_
     made = prtbake(*command)
     assert made.code == 0
     assert made.err.endswith(f"next: prtbake compare PREDICTED {folder}\n")
-    assert f"{folder}: 4 pictures; README.md and dataset.json say what they are" in made.out
+    assert f"{folder}: 4 pictures; dataset.json says what they are" in made.out
     readme = (folder / "README.md").read_text()
     assert "prtbake compare PREDICTED ball" in readme
     assert "train 2, test 1, held_out_skies 1" in readme
