@@ -84,6 +84,9 @@ def test_files_in_place_of_folders_are_refused(prtbake: Run, folder: Path, tmp_p
     taken = prtbake("sample", "scene.toml", "--olat", "-o", folder, *FEW)
     assert taken.code == 1
     assert f"{folder}: expected a new or empty folder" in taken.err
+    under_a_file = prtbake("sample", "scene.toml", "--olat", "-o", folder / "sky.exr" / "set", *FEW)
+    assert under_a_file.code == 1
+    assert under_a_file.out == ""  # before the pilot
     mixed = prtbake("compare", tmp_path, "sky.exr")
     assert mixed.code == 1
     assert "sky.exr: expected a folder, of a test set" in mixed.err
