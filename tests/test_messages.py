@@ -42,6 +42,8 @@ def test_no_text_names_a_document_that_an_installed_package_lacks() -> None:
     found = []
     for path in (path for folder in ("formats", "bakers", "prt_bake") for path in (ROOT / folder).rglob("*.py")):
         source = path.read_text(encoding="utf-8")
+        if path == ROOT / "prt_bake" / "olat" / "description.py":
+            continue  # it writes a README.md
         if not any(name in source for name in DOCUMENTS):
             continue
         tree = ast.parse(source)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from formats.errors import PrtbakeError, QueryError
 from formats.extras import require
 from prt_bake.cli.shared.next_step import say_next
-from prt_bake.cli.shared.outputs import warn_of_small_disk
+from prt_bake.cli.shared.outputs import check_outputs, warn_of_small_disk
 from prt_bake.cli.shared.progress import in_words, reporting, say, stopping
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 def write_olat(scene_path: Path, folder: Path, settings: "OlatSettings", skies: list[Path], dry_run: bool) -> None:
     """Print size and time of a test set, and write it unless `dry_run`."""
     from formats.scene import read_scene
+    from prt_bake.olat.description import NAME
     from prt_bake.olat.render import OlatSet
     from prt_bake.shipped.examples import example
     from prt_bake.tracer.prepared import smooth_part
@@ -29,13 +30,16 @@ def write_olat(scene_path: Path, folder: Path, settings: "OlatSettings", skies: 
             "--light-diameter 10 (degrees)"
         )
     olat = OlatSet(scene, folder, settings, skies or [example("sky.hdr")])
+    if not dry_run:
+        check_outputs({"--output": folder / NAME}, {"SCENE": scene_path, "--sky": skies}, folder)
     with reporting("sample", "pilot pictures") as show:
         cost = olat.predict()
     left = cost.pictures - cost.finished
     print(
         f"{folder}: {cost.pictures:,} pictures of {settings.width}x{settings.height}, about {_size(cost.bytes)}"
         + (f"; {cost.finished:,} are finished" if cost.finished else "")
-        + (f"; about {in_words(cost.seconds)} for {'the others' if cost.finished else 'all'}" if left else ""),
+        + (f"; about {in_words(cost.seconds)} for {'the others' if cost.finished else 'all'}" if left else "")
+        + (f"; noise under one light about {cost.noise:.0%}" if cost.noise == cost.noise else ""),
         flush=True,
     )
     if dry_run:
@@ -47,7 +51,7 @@ def write_olat(scene_path: Path, folder: Path, settings: "OlatSettings", skies: 
         raise PrtbakeError(
             f"{folder}: stopped; {done:,} of {cost.pictures:,} pictures are finished, and the same command continues"
         )
-    print(f"{folder}: {done:,} pictures; README.md and dataset.json say what they are")
+    print(f"{folder}: {done:,} pictures; dataset.json says what they are")
     say_next("prtbake", "compare", "PREDICTED", folder)
 
 

@@ -4,10 +4,11 @@ A picture is finished when its .exr exists, which appears whole and after its .p
 a continued run gives the same files as an uninterrupted one.
 """
 
+import math
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +31,21 @@ _PILOTS_UNDER_LIGHTS = 3
 
 @dataclass(frozen=True)
 class Cost:
-    """Prediction for the pictures that are not finished: their number, bytes of all pictures, and seconds."""
+    """Prediction for a test set.
+
+    Attributes:
+        pictures, finished: numbers.
+        bytes: of all pictures and skies.
+        seconds: for the pictures that are not finished.
+        noise: relative standard error of a picture under a directional light, the mean of the pilots; NaN if all these
+            pictures are finished.
+    """
 
     pictures: int
     finished: int
     bytes: int
     seconds: float
+    noise: float
 
 
 class OlatSet:
@@ -58,7 +68,7 @@ class OlatSet:
     def predict(self) -> Cost:
         """Size and time, from pilots: pictures of the full size with few paths per pixel."""
         missing = self.missing
-        seconds, size = 0.0, float(self._bytes_of_skies())
+        seconds, size, noise = 0.0, float(self._bytes_of_skies()), math.nan
         for under_sky in (False, True):
             alike = [picture for picture in self.pictures if (picture.set == SKIES) == under_sky]
             left = sum((picture.set == SKIES) == under_sky for picture in missing)
@@ -67,9 +77,11 @@ class OlatSet:
                 continue
             steps = np.linspace(0, len(alike) - 1, 1 if under_sky else _PILOTS_UNDER_LIGHTS).round().astype(int)
             pilots = [self._pilot(alike[index]) for index in sorted(set(steps.tolist()))]
-            seconds += left * float(np.mean([pilot[0] for pilot in pilots]))
-            size += len(alike) * float(np.mean([pilot[1] for pilot in pilots]))
-        return Cost(len(self.pictures), len(self.pictures) - len(missing), round(size), seconds)
+            of_one = np.mean(pilots, axis=0)
+            seconds += left * float(of_one[0])
+            size += len(alike) * float(of_one[1])
+            noise = noise if under_sky else float(of_one[2])
+        return Cost(len(self.pictures), len(self.pictures) - len(missing), round(size), seconds, noise)
 
     def write(self, stop: Callable[[], bool], progress: Callable[[float, str], None]) -> int:
         """Render the missing pictures and describe those that are finished; returns the number of finished ones.
@@ -119,17 +131,18 @@ class OlatSet:
             **options,
         )
 
-    def _pilot(self, picture: Picture) -> tuple[float, int]:
-        """Predicted seconds and bytes of a picture."""
+    def _pilot(self, picture: Picture) -> tuple[float, float, float]:
+        """Predicted seconds, bytes and relative noise of a picture."""
         self._render(picture, minutes=0.0)  # compiles kernels
         start = time.perf_counter()
         found = self._render(picture, minutes=_PILOT_MINUTES)
         with tempfile.TemporaryDirectory() as folder:
             (Path(folder) / picture.set).mkdir()
-            self._write(Path(folder), picture, found)
+            self._write(Path(folder), picture, _without_gaps(found))
             size = _bytes_in(Path(folder))
         beside = time.perf_counter() - start - found.seconds
-        return beside + found.seconds * self.settings.spp / found.spp, size
+        more = self.settings.spp / found.spp
+        return beside + found.seconds * more, float(size), found.relative_noise / math.sqrt(more)
 
     def _write(self, folder: Path, picture: Picture, found: Rendering) -> None:
         texts = {
@@ -159,6 +172,14 @@ class OlatSet:
 
     def _files(self, picture: Picture) -> list[Path]:
         return [self.folder / f"{picture.name}{suffix}" for suffix in (".exr", ".png")]
+
+
+def _without_gaps(found: Rendering) -> Rendering:
+    """A picture in which the object has no exact zeros: these compress well, and more paths leave none."""
+    numbers = np.random.default_rng(0).random(found.image.shape).astype(np.float32)
+    gaps = (found.coverage > 0.0)[..., None] & (found.image == 0.0)
+    image, error = (np.where(gaps, numbers, part) for part in (found.image, found.standard_error))
+    return replace(found, image=image, standard_error=error)
 
 
 def _bytes_in(folder: Path) -> int:

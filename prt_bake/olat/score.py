@@ -27,7 +27,7 @@ from prt_bake.comparison.alpha import premultiplied
 from prt_bake.comparison.metrics import checked, compare
 from prt_bake.comparison.noise import PixelErrors, errors_of, same_random_numbers, unusable_reason
 from prt_bake.comparison.noise_free import compare_without_noise
-from prt_bake.comparison.object_figures import LUMINANCE, MIDDLE_GREY, object_mask
+from prt_bake.comparison.object_figures import LUMINANCE, MIDDLE_GREY
 from prt_bake.mathematics.noise_free import Interval, ratio
 from prt_bake.olat.description import read_dataset
 from prt_bake.olat.pictures import SKIES, TEST
@@ -181,8 +181,9 @@ def _exposure(folder: Path, pictures: list[str]) -> float:
     """The exposure at which the median of the pictures' median luminance is 0.18."""
     medians = []
     for picture in pictures:
-        layers = read_layers(folder / f"{picture}.exr")
-        medians.append(float(np.median(layers.image[object_mask(layers.layers["A"])] @ LUMINANCE)))
+        path = folder / f"{picture}.exr"
+        layers = read_layers(path)
+        medians.append(float(np.median(layers.image[_mask(path, layers)] @ LUMINANCE)))
     median = float(np.median(medians))
     if not median > 0.0:
         raise QueryError(f"{folder}: no light reaches the object in half of the pictures; choose an --exposure")
@@ -192,7 +193,7 @@ def _exposure(folder: Path, pictures: list[str]) -> float:
 def _score(path: Path, reference_path: Path, stops: float, keep_noise: bool) -> PictureScore:
     image, reference = (premultiplied(each, read_layers(each)) for each in (path, reference_path))
     checked(image.image, reference.image, None, stops, (str(path), str(reference_path), ""))
-    mask = object_mask(reference.layers["A"])
+    mask = _mask(reference_path, reference)
     filled = replace(image, image=np.where(mask[..., None], image.image, reference.image))
     found = compare(filled.image, reference.image, mask, stops)
     measured = {metric: float(getattr(found, metric)) for metric in METRICS}
@@ -206,6 +207,16 @@ def _score(path: Path, reference_path: Path, stops: float, keep_noise: bool) -> 
         {metric: noise_free.figures[metric] for metric in METRICS},
         {metric: noise_free.of_noise[metric] for metric in METRICS},
     )
+
+
+def _mask(path: Path, reference: Layers) -> NDArray[np.bool_]:
+    """The pixels [H,W] that the object covers completely."""
+    coverage, error = (reference.layers.get(name) for name in ("A", "error"))
+    if coverage is None or error is None:
+        raise FormatError(f"{path}: expected the layers A and error of a test set, found none; make the set again")
+    if not (coverage >= 1.0).any():
+        raise FormatError(f"{path}: the object covers no pixel completely; make the test set with a larger --size")
+    return np.asarray(coverage >= 1.0)
 
 
 def _errors(path: Path, image: Layers, reference: Layers, mask: NDArray[np.bool_]) -> PixelErrors:

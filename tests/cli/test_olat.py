@@ -23,7 +23,7 @@ def test_a_test_set_is_announced_written_continued_and_scored(prtbake: Run, tmp_
     made = prtbake(*command)
     assert made.code == 0
     assert made.err.endswith(f"next: prtbake compare PREDICTED {folder}\n")
-    assert f"{folder}: 4 pictures; README.md and dataset.json say what they are" in made.out
+    assert f"{folder}: 4 pictures; dataset.json says what they are" in made.out
     readme = (folder / "README.md").read_text()
     assert "prtbake compare PREDICTED ball" in readme
     assert "train 2, test 1, held_out_skies 1" in readme
@@ -84,6 +84,9 @@ def test_files_in_place_of_folders_are_refused(prtbake: Run, folder: Path, tmp_p
     taken = prtbake("sample", "scene.toml", "--olat", "-o", folder, *FEW)
     assert taken.code == 1
     assert f"{folder}: expected a new or empty folder" in taken.err
+    under_a_file = prtbake("sample", "scene.toml", "--olat", "-o", folder / "sky.exr" / "set", *FEW)
+    assert under_a_file.code == 1
+    assert under_a_file.out == ""  # before the pilot
     mixed = prtbake("compare", tmp_path, "sky.exr")
     assert mixed.code == 1
     assert "sky.exr: expected a folder, of a test set" in mixed.err

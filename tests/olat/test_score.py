@@ -173,6 +173,14 @@ def test_folders_that_are_none(references: Path, tmp_path: Path) -> None:
         score(tmp_path, references)
     with pytest.raises(FormatError, match=r"expected the folder of a test set with dataset\.json"):
         score(references, tmp_path)
+    small = shutil.copytree(references, tmp_path / "small")
+    layers = {"error": np.full((SIDE, SIDE, 3), 0.1)}
+    write_image(small / "test/v000_l002.exr", _truth(), alpha=np.full((SIDE, SIDE), 0.5), layers=layers)
+    with pytest.raises(FormatError, match=r"l002\.exr: the object covers no pixel completely"):
+        score(references, small)
+    write_image(small / "test/v000_l002.exr", _truth())
+    with pytest.raises(FormatError, match=r"l002\.exr: expected the layers A and error"):
+        score(references, small)
     other = shutil.copytree(references, tmp_path / "other")
     (other / "dataset.json").write_text("[]")
     with pytest.raises(FormatError, match="expected a test set"):

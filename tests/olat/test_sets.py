@@ -159,13 +159,16 @@ def test_a_stopped_run_continues_to_the_same_files(tmp_path: Path) -> None:
             assert (tmp_path / "set" / path).read_bytes() == (tmp_path / "whole" / path).read_bytes()
 
 
-def test_the_size_is_predicted(tmp_path: Path) -> None:
+def test_size_and_noise_are_predicted(tmp_path: Path) -> None:
     scene = _scene(tmp_path)
     olat = OlatSet(scene, tmp_path / "set", SMALL, [_sky(tmp_path)])
     cost = olat.predict()
     assert (cost.pictures, cost.finished) == (6, 0)
     assert not (tmp_path / "set").exists()
     _make(scene, tmp_path / "set")
+    found = json.loads((tmp_path / "set" / "dataset.json").read_text())["pictures"]
+    noise = np.mean([each["relative_noise"] for name, each in found.items() if not name.startswith("held_out_skies")])
+    assert cost.noise == pytest.approx(noise, rel=0.4)
     written = sum(path.stat().st_size for kind in ("exr", "png") for path in (tmp_path / "set").rglob(f"*.{kind}"))
     assert cost.bytes == pytest.approx(written, rel=0.3)
     assert OlatSet(scene, tmp_path / "set", SMALL, [_sky(tmp_path)]).predict().seconds == 0.0
