@@ -15,19 +15,30 @@ EQUAL = "net-equal"
 
 
 class Contender(NamedTuple):
-    """A row: `baseline` is its name for `train_baseline`, None for the network; `published` that of the paper's row."""
+    """A row of the table.
+
+    Attributes:
+        name, title: its key and its name in the table.
+        baseline: the name for `train_baseline`; None for the network.
+        published: the model of the paper's row.
+        coarse: whether it is lit by the 16×32 pixels with which a NeRFactor relights as published. It has the model of
+            the contender named by its baseline.
+    """
 
     name: str
     title: str
     baseline: str | None
     published: str
+    coarse: bool = False
 
 
 CONTENDERS = (
     Contender("nerfactor-unknown", "NeRFactor, unknown light", "nerfactor-unknown", "nerfactor"),
+    Contender("nerfactor-512", "the same, 512 lights", "nerfactor-unknown", "nerfactor", coarse=True),
     Contender("nerfactor-known", "NeRFactor, known light", "nerfactor-known", "nerfactor"),
     Contender("nerfactor", "NeRFactor, best of class", "nerfactor", "nerfactor"),
     Contender("neumip", "NeuMIP", "neumip", "neumip"),
+    Contender("neumip-pyramid", "NeuMIP, pyramid", "neumip-pyramid", "neumip"),
     Contender("neumip-log", "NeuMIP, own loss", "neumip-log", "neumip"),
     Contender(EQUAL, "Net, same minutes", None, "net"),
     Contender("net", "Net", None, "net"),

@@ -11,11 +11,13 @@ from formats.errors import QueryError
 from formats.image import read_image, read_layers
 from formats.json_report import as_text, write_report
 from prt_bake.baselines.ceiling import measure_ceiling
+from prt_bake.baselines.coarse_light import coarse_light
 from prt_bake.comparison.metrics import compare
 from prt_bake.comparison.noise import PixelErrors
 from prt_bake.comparison.noise_free import compare_without_noise
 from prt_bake.comparison.object_figures import exposure, framing, object_mask
-from prt_bake.lights.lighting import Lighting
+from prt_bake.lights.environment import rotation
+from prt_bake.lights.lighting import Lighting, Sky
 from prt_bake.mathematics.noise_free import Interval
 from prt_bake.paper.artefacts import Artefact, Artefacts, Facts
 from prt_bake.paper.baselines.contenders import CONTENDERS, FIGURES, Comparison, Contender, Entry
@@ -31,6 +33,8 @@ from prt_bake.paper.text import write_text
 
 FILES = ("baselines.md", "baselines.json", "baselines.png")
 """The table and the sheet of pictures, in the folder of the report."""
+_ENLARGED = 16
+"""Pixels of the rendered sky for each of the 16×32, so that the interpolation between pixels hardly blurs them."""
 _METHOD = 1
 """Version of the figures; raised when the same pictures give other ones."""
 
@@ -67,11 +71,8 @@ class BaselineReport:
     def _models(self, scene: SceneReport) -> Iterator[tuple[str, Artefact | str]]:
         """Yield each contender's model, or why it has none."""
         for contender in CONTENDERS:
-            if contender.name == "net":
-                yield contender.name, scene.model
-                continue
             try:
-                yield contender.name, self._trained(scene, contender)
+                yield contender.name, scene.model if contender.name == "net" else self._trained(scene, contender)
             except QueryError as refusal:
                 self.artefacts.say(f"{scene.paper.name}, {contender.title}: left out: {refusal}")
                 yield contender.name, str(refusal)
@@ -81,7 +82,7 @@ class BaselineReport:
         label = f"{name}: training {contender.title}"
         return train_once(
             self.artefacts,
-            f"{name}/baselines/{contender.name}.pt",
+            f"{name}/baselines/{contender.baseline or contender.name}.pt",
             scene.scene,
             settings.train_minutes,
             settings.device,
@@ -110,10 +111,12 @@ class BaselineReport:
         target = scene.reference(sky, lighting)
         folder = f"{scene.paper.name}/{sky}"
         pictures = {}
-        for name, model in models.items():
+        for contender in CONTENDERS:
+            model = models[contender.name]
             if isinstance(model, Artefact):
-                file = f"{folder}/net_{PRIMARY_SAMPLING}.exr" if name == "net" else f"{folder}/baselines/{name}.exr"
-                pictures[name] = scene.network_picture(lighting, PRIMARY_SAMPLING, file, model)
+                light = _coarse(lighting, scene.scene.up) if contender.coarse else lighting
+                file = f"{folder}/{_picture_name(contender.name)}"
+                pictures[contender.name] = scene.network_picture(light, PRIMARY_SAMPLING, file, model)
         inputs = {
             "method": _METHOD,
             "reference": target.artefact.sha256,
@@ -153,10 +156,19 @@ class BaselineReport:
                 if entry is None:
                     tiles.append(None)
                     continue
-                name = f"net_{PRIMARY_SAMPLING}" if contender.name == "net" else f"baselines/{contender.name}"
                 label = f"FLIP {entry.figures['flip'].value:.3f}"
-                tiles.append(Tile(read_image(folder / f"{name}.exr"), maps[contender.name], label))
+                tiles.append(Tile(read_image(folder / _picture_name(contender.name)), maps[contender.name], label))
         return Row(f"{comparison.scene}, {comparison.sky}", comparison.stops, tuple(tiles))
+
+
+def _picture_name(contender: str) -> str:
+    """Return the picture's file in the folder of its scene and sky; the first table has the network's picture, too."""
+    return f"net_{PRIMARY_SAMPLING}.exr" if contender == "net" else f"baselines/{contender}.exr"
+
+
+def _coarse(lighting: Lighting, up: str) -> Lighting:
+    """Return the light as a NeRFactor sees it."""
+    return Lighting((Sky(coarse_light(lighting, up, enlarged=_ENLARGED), up, rotation(0.0, up)),))
 
 
 def _measure(path: Path, target: Reference, pictures: dict[str, Artefact]) -> Facts:
