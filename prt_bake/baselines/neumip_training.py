@@ -27,9 +27,10 @@ from prt_bake.trainer.training_data import TrainingData
 
 LEARNING = LearningSettings(muon=False, decay=0.0, bfloat16=False)
 """Adam alone, as published."""
-CONVERGED = StreamSettings(rays="values", walks=64, reuse=32)
-"""Values for its own loss, which is biased by noise, from 64 walks each. Rows are reused, as the published training
-does with its pictures: a walk that connects its events to the light through an interface costs about ten that do not.
+CONVERGED = StreamSettings(rays="values", walks=16, reuse=8)
+"""Values for its own loss, which is biased by noise: 8 times the walks of other values. Rows are reused, as the
+published training does with its pictures. At an equal cost 64 walks, used 32 times, leave too few queries, and 4 walks,
+used twice, too much noise (docs/explanation/baselines.md).
 """
 PYRAMID = 9
 """Levels of the published pyramid, from 512² texels down to 2²."""
