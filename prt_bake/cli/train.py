@@ -50,8 +50,8 @@ def train(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Train a model that the paper compares itself with instead of the network: neumip, neumip-log, "
-            "nerfactor, nerfactor-known or nerfactor-unknown.",
+            help="Train a model that the paper compares itself with instead of the network: neumip, "
+            "neumip-pyramid, neumip-log, nerfactor, nerfactor-known or nerfactor-unknown.",
             show_default=False,
         ),
     ] = None,
