@@ -13,6 +13,7 @@ from formats.errors import ModelError
 from formats.mesh import Mesh
 from formats.scene import Scene
 from prt_bake.importance.module import importance_path, load_importance, save_importance
+from prt_bake.lights.lighting import Lighting
 from prt_bake.network.bssrdf import PRESETS, NetworkSettings, load_model
 from prt_bake.network.model import Model
 from prt_bake.paper.artefacts import Artefact, Artefacts, Facts, Stopped
@@ -48,12 +49,14 @@ def train_once(
     settings: NetworkSettings | None = None,
     *,
     baseline: str | None = None,
+    light: Lighting | None = None,
     seed: int = 0,
 ) -> Artefact:
     """Return a model trained for `minutes`; resumes a stopped training.
 
-    It is the network, by default with the measured preset, or the named baseline (`prt_bake.baselines.door`). Raises
-    SceneError or QueryError for a scene that the model cannot learn, Stopped if a stop was requested.
+    It is the network, by default with the measured preset, or the named baseline (`prt_bake.baselines.door`), which may
+    learn from pictures under a `light`. Raises SceneError or QueryError for a scene that the model cannot learn, Stopped
+    if a stop was requested.
     """
     from prt_bake.baselines.door import train_baseline
     from prt_bake.trainer.samples.rows import StreamSettings
@@ -71,8 +74,10 @@ def train_once(
         **({"seed": seed} if seed else {}),
     }
     if baseline is not None:
-        fit, device = partial(train_baseline, baseline=baseline), "cpu"
+        fit, device = partial(train_baseline, baseline=baseline, light=light), "cpu"
         inputs |= {"settings": {}, "device": device, "baseline": baseline}
+    if light is not None:
+        inputs["light"] = light.content_hash()
 
     def build(path: Path) -> Facts:
         started = path.with_suffix(".started.json")

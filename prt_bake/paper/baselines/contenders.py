@@ -23,6 +23,7 @@ class Contender(NamedTuple):
         published: the model of the paper's row.
         coarse: whether it is lit by the 16×32 pixels with which a NeRFactor relights as published. It has the model of
             the contender named by its baseline.
+        own_sky: whether it learns from pictures under the sky of the compared picture, and is trained for each sky.
     """
 
     name: str
@@ -30,11 +31,13 @@ class Contender(NamedTuple):
     baseline: str | None
     published: str
     coarse: bool = False
+    own_sky: bool = False
 
 
 CONTENDERS = (
     Contender("nerfactor-unknown", "NeRFactor, unknown light", "nerfactor-unknown", "nerfactor"),
     Contender("nerfactor-512", "the same, 512 lights", "nerfactor-unknown", "nerfactor", coarse=True),
+    Contender("nerfactor-own-sky", "NeRFactor, unknown light, own sky", "nerfactor-unknown", "nerfactor", own_sky=True),
     Contender("nerfactor-known", "NeRFactor, known light", "nerfactor-known", "nerfactor"),
     Contender("nerfactor", "NeRFactor, best of class", "nerfactor", "nerfactor"),
     Contender("neumip", "NeuMIP", "neumip", "neumip"),

@@ -56,10 +56,9 @@ class BaselineReport:
         """Measure every scene under every sky; table and sheet are rewritten after each. Raises Stopped."""
         for paper in scenes:
             scene = SceneReport(paper, self._folder, self._settings, self.artefacts, self._progress)
-            models = dict(self._models(scene))
             ceiling = self._ceiling(scene)
             for sky, path in skies.items():
-                self.comparisons.append(self._compare(scene, sky, scene.lighting(path), models, ceiling))
+                self.comparisons.append(self._compare(scene, sky, scene.lighting(path), ceiling))
                 self._write()
                 on_comparison(self.comparisons[-1])
 
@@ -68,26 +67,29 @@ class BaselineReport:
         """The files of the report that exist."""
         return tuple(path for name in FILES if (path := self.artefacts.folder / name).is_file())
 
-    def _models(self, scene: SceneReport) -> Iterator[tuple[str, Artefact | str]]:
+    def _models(self, scene: SceneReport, sky: str, lighting: Lighting) -> Iterator[tuple[str, Artefact | str]]:
         """Yield each contender's model, or why it has none."""
         for contender in CONTENDERS:
+            name = contender.name
             try:
-                yield contender.name, scene.model if contender.name == "net" else self._trained(scene, contender)
+                yield name, scene.model if name == "net" else self._trained(scene, contender, sky, lighting)
             except QueryError as refusal:
                 self.artefacts.say(f"{scene.paper.name}, {contender.title}: left out: {refusal}")
-                yield contender.name, str(refusal)
+                yield name, str(refusal)
 
-    def _trained(self, scene: SceneReport, contender: Contender) -> Artefact:
+    def _trained(self, scene: SceneReport, contender: Contender, sky: str, lighting: Lighting) -> Artefact:
         name, settings = scene.paper.name, self._settings
+        folder = f"{name}/{sky}" if contender.own_sky else name
         label = f"{name}: training {contender.title}"
         return train_once(
             self.artefacts,
-            f"{name}/baselines/{contender.baseline or contender.name}.pt",
+            f"{folder}/baselines/{contender.baseline or contender.name}.pt",
             scene.scene,
             settings.train_minutes,
             settings.device,
             lambda share, text: self._progress(label, share, text),
             baseline=contender.baseline,
+            light=lighting if contender.own_sky else None,
             seed=settings.seed,
         )
 
@@ -105,9 +107,8 @@ class BaselineReport:
 
         return self.artefacts.make(f"{scene.paper.name}/baselines/ceiling.json", inputs, build).facts
 
-    def _compare(
-        self, scene: SceneReport, sky: str, lighting: Lighting, models: dict[str, Artefact | str], ceiling: Facts
-    ) -> Comparison:
+    def _compare(self, scene: SceneReport, sky: str, lighting: Lighting, ceiling: Facts) -> Comparison:
+        models = dict(self._models(scene, sky, lighting))
         target = scene.reference(sky, lighting)
         folder = f"{scene.paper.name}/{sky}"
         pictures = {}

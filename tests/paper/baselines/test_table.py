@@ -40,8 +40,8 @@ def cells(page: str, title: str) -> list[str]:
 def test_a_row_has_the_figures_with_intervals_and_the_papers_beside_them() -> None:
     page = markdown([comparison()], SETTINGS)
     row = cells(page, "NeuMIP")
-    assert row[1:5] == ["0.1 (0.09–0.11)", *["0.100 (0.090–0.110)"] * 3]
-    assert row[5:11] == ["10", "10", "", "12.5%", "0.68", "3.25"]
+    assert row[1:5] == ["0.12 (0.11–0.13)", *["0.120 (0.108–0.132)"] * 3]
+    assert row[5:11] == ["12", "12", "", "12.5%", "0.68", "3.25"]
     assert row[11:] == ["1.8e-04", "0.982", "0.990", "0.051", "2", "2.9"]
     assert cells(page, "*Best Lambert albedo*")[7:9] == ["", "96%"]
     assert cells(page, "*noise*")[1] == "0.001"
@@ -78,7 +78,7 @@ def test_a_missing_row_says_why() -> None:
 
 def test_a_sentence_says_how_far_the_network_is_ahead() -> None:
     assert standing(comparison(), NEUMIP) == (
-        "NeuMIP: its MSE is 10 times (paper 2) and its FLIP is 10 times (paper 2.9) that of Net after the same minutes"
+        "NeuMIP: its MSE is 12 times (paper 2) and its FLIP is 12 times (paper 2.9) that of Net after the same minutes"
     )
     exact = replace(comparison(), entries=tuple(entry(c.name, 0.0) for c in CONTENDERS))
     assert standing(exact, NEUMIP) == ""
@@ -88,3 +88,4 @@ def test_the_figures_are_plain_json() -> None:
     read = json.loads(as_text(comparison().as_json()))
     assert read["paper"]["nerfactor"]["flip"] == 0.132
     assert read["entries"][3]["figures"]["mse"] == pytest.approx({"value": 0.08, "low": 0.072, "high": 0.088})
+    assert read["entries"][3]["contender"] == "nerfactor-known"
