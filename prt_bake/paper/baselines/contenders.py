@@ -37,8 +37,8 @@ class Contender(NamedTuple):
 CONTENDERS = (
     Contender("nerfactor-unknown", "NeRFactor, unknown light", "nerfactor-unknown", "nerfactor"),
     Contender("nerfactor-512", "the same, 512 lights", "nerfactor-unknown", "nerfactor", coarse=True),
-    Contender("nerfactor-own-sky", "NeRFactor, unknown light, own sky", "nerfactor-unknown", "nerfactor", own_sky=True),
     Contender("nerfactor-known", "NeRFactor, known light", "nerfactor-known", "nerfactor"),
+    Contender("nerfactor-own-sky", "NeRFactor, own sky", "nerfactor-known", "nerfactor", own_sky=True),
     Contender("nerfactor", "NeRFactor, best of class", "nerfactor", "nerfactor"),
     Contender("neumip", "NeuMIP", "neumip", "neumip"),
     Contender("neumip-pyramid", "NeuMIP, pyramid", "neumip-pyramid", "neumip"),

@@ -88,4 +88,4 @@ def test_the_figures_are_plain_json() -> None:
     read = json.loads(as_text(comparison().as_json()))
     assert read["paper"]["nerfactor"]["flip"] == 0.132
     assert read["entries"][3]["figures"]["mse"] == pytest.approx({"value": 0.08, "low": 0.072, "high": 0.088})
-    assert read["entries"][3]["contender"] == "nerfactor-known"
+    assert read["entries"][3]["contender"] == "nerfactor-own-sky"
