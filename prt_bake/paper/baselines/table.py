@@ -18,8 +18,8 @@ with such noise.
 All models but *Net* learned for {minutes:g} minutes on the same machine, from walks of the same path tracer. *Net* is
 the scene's own network. *× MSE* and *× FLIP* are the errors relative to those of *Net, same minutes*; above 1, that
 network is ahead. *Best of class* is fitted to Ŝ itself. The other NeRFactors learned from pictures under a third sky,
-*own sky* under that of the compared picture, which it knows. *512 lights* is how a NeRFactor relights as published, by a sky of 16×32
-pixels; all other rows have the whole sky.
+*own sky* under that of the compared picture, which it knows. *512 lights* is how a NeRFactor relights as published, by
+a sky of 16×32 pixels; all other rows have the whole sky.
 
 Ŝ and a_lm are relative errors on fresh queries. *Best Lambert albedo* is the least error of a surface whose albedo is
 free at every position and view: no BRDF without a glossy lobe does better. MB is the size of the model's file, s the
