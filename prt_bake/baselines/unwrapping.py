@@ -20,6 +20,8 @@ _MOST_SHARED = 0.01
 _MARGIN = 0.97
 """Size of the packed charts in texels over that of the texture; xatlas meets the requested size roughly."""
 _ATTEMPTS = 8
+_LENGTH = 1000.0
+"""Diagonal of the box of a mesh that is passed to xatlas."""
 
 
 def texture_coordinates(mesh: Mesh, size: int, say: Callable[[str], None]) -> Array:
@@ -45,10 +47,12 @@ def unwrap(mesh: Mesh, size: int) -> Array:
     """Coordinates [F,3,2] of an atlas of xatlas, its charts `PADDING` texels apart in a texture of size² texels."""
     import xatlas
 
+    # xatlas takes faces below an absolute area for degenerate, and then returns NaN.
+    positions = (mesh.positions - mesh.center) * (_LENGTH / max(float(mesh.diagonal), 1e-300))
     target = size
     for _ in range(_ATTEMPTS):
         atlas = xatlas.Atlas()
-        atlas.add_mesh(np.asarray(mesh.positions - mesh.center, np.float32), np.asarray(mesh.faces, np.uint32))
+        atlas.add_mesh(np.asarray(positions, np.float32), np.asarray(mesh.faces, np.uint32))
         packing = xatlas.PackOptions()
         packing.padding, packing.resolution, packing.bilinear = PADDING + 1, max(8, round(_MARGIN * target)), True
         atlas.generate(xatlas.ChartOptions(), packing)

@@ -11,7 +11,7 @@ from formats.extras import require
 from prt_bake.cli.olat import score_folders
 from prt_bake.cli.shared.bounds import Bounds, FailAbove, FailBelow
 from prt_bake.cli.shared.kinds import refuse_other_kinds
-from prt_bake.cli.shared.options import AsJson, Exposure, optional_output
+from prt_bake.cli.shared.options import AsJson, optional_output
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
 
@@ -51,7 +51,16 @@ def compare(
             show_default=False,
         ),
     ] = None,
-    exposure: Exposure = 0.0,
+    exposure: Annotated[
+        float | None,
+        typer.Option(
+            min=-64,
+            max=64,
+            metavar="EV",
+            help="Compare at 2^EV times the radiance; by default 0, and for folders chosen from the references.",
+            show_default=False,
+        ),
+    ] = None,
     hdr_exposures: Annotated[
         Any,
         typer.Option(
@@ -102,7 +111,8 @@ def compare(
         for option, value in only_pictures.items():
             if value:
                 raise typer.BadParameter(f"{option} is for two images; leave it out to compare folders")
-        return score_folders(image, reference, exposure or None, keep_noise, as_json)
+        return score_folders(image, reference, exposure, keep_noise, as_json)
+    stops = exposure or 0.0
     outputs = {"--picture": picture, "--difference-map": difference_map}
     outputs |= {"--flip-map": flip_map, "--hdr-flip-map": hdr_flip_map}
     check_outputs(outputs, {"IMAGE": image, "REFERENCE": reference, "--mask": mask})
@@ -127,23 +137,23 @@ def compare(
         selected = _mask_by_alpha(image, reference, layers, reference_layers)
     names = (str(image), str(reference), str(mask))
     hdr = True if hdr_exposures is None else hdr_exposures
-    comparison = measure(pixels, target, selected, exposure, hdr=hdr, names=names)
+    comparison = measure(pixels, target, selected, stops, hdr=hdr, names=names)
     errors = None if keep_noise else _errors(image, reference, layers, reference_layers)
     noise_free = None
     if errors is not None:
-        noise_free = _without_noise(pixels, target, errors, selected, exposure, comparison.hdr_exposures)
-    exposed, exposed_target, compared = checked(pixels, target, selected, exposure)
+        noise_free = _without_noise(pixels, target, errors, selected, stops, comparison.hdr_exposures)
+    exposed, exposed_target, compared = checked(pixels, target, selected, stops)
     if picture is not None:
         intervals = None if noise_free is None else noise_free.figures
         undimmed = None if selected is None else compared
         titles = (image.name, reference.name)
-        sheet.write_sheet(picture, pixels, target, comparison, titles, exposure, undimmed, intervals)
+        sheet.write_sheet(picture, pixels, target, comparison, titles, stops, undimmed, intervals)
     if difference_map is not None:
         sheet.write_difference_map(difference_map, exposed - exposed_target)
     for path, values in ((flip_map, comparison.flip_map), (hdr_flip_map, comparison.hdr_flip_map)):
         if path is not None and values is not None:
             sheet.write_flip_map(path, values)
-    figures = {**comparison.as_json(), "pixels": int(compared.sum()), "exposure": exposure}
+    figures = {**comparison.as_json(), "pixels": int(compared.sum()), "exposure": stops}
     if noise_free is not None:
         figures["noise_free"] = noise_free.as_json()
     if as_json:

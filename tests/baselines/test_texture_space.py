@@ -164,6 +164,15 @@ def test_unwrapped_charts_are_the_padding_apart() -> None:
         assert not ((one != other) & (one >= 0) & (other >= 0)).any()
 
 
+@pytest.mark.parametrize("scale", [1e-6, 1e-3, 1e6])
+def test_an_object_of_any_size_is_unwrapped(scale: float) -> None:
+    pytest.importorskip("xatlas")
+    mesh = ball_of_charts()
+    faces = np.asarray(mesh.faces, np.int64)
+    small = Mesh(scale * mesh.positions, mesh.faces, mesh.normals)
+    assert fault_of(unwrap(small, 256), faces, 256) == ""
+
+
 def test_untrained_rows_take_the_value_of_their_chart() -> None:
     mesh = close_charts()
     assert mesh.corner_uv is not None

@@ -3,6 +3,7 @@
 import math
 
 from prt_bake.mathematics.noise_free import Interval
+from prt_bake.network.model import NEURAL_BSSRDF
 
 LEVELS = (
     (0.05, "good for final pictures"),
@@ -27,13 +28,14 @@ def quality(error: Interval, minutes: float, walks: float, kind: str = "") -> st
     >>> quality(Interval(0.044, 0.041, 0.047), minutes=0.0, walks=1e8)
     'the network is 4.4 % off (4.1 to 4.7): good for final pictures'
     """
+    name = "network" if kind in ("", NEURAL_BSSRDF) else "model"
     if not math.isfinite(error.value):
-        return "the error of the network is unknown: the noise of its reference hides it"
+        return f"the error of the {name} is unknown: the noise of its reference hides it"
     interval = "" if not math.isfinite(error.low) else f" ({100 * error.low:.1f} to {100 * error.high:.1f})"
     use, worst = _use(error.value), _use(error.high)
     doubt = f" (at the upper end of this range only {worst})" if worst not in ("", use) else ""
     outlook = _outlook(error.value, minutes, walks, kind)
-    return f"the network is {100 * error.value:.1f} % off{interval}: {use}{doubt}{outlook}"
+    return f"the {name} is {100 * error.value:.1f} % off{interval}: {use}{doubt}{outlook}"
 
 
 def _use(error: float) -> str:

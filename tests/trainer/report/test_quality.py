@@ -39,6 +39,13 @@ def test_a_model_at_the_ceiling_of_its_class_is_not_extrapolated() -> None:
     assert "extrapolated" in quality(Interval(0.56, 0.5, 0.6), 2.0, 5.8e6, "neumip")
 
 
+def test_a_baseline_is_a_model_and_not_a_network() -> None:
+    nan, error = math.nan, Interval(0.3, 0.2, 0.4)
+    for kind, name in (("neumip", "model"), ("nerfactor", "model"), ("neural bssrdf", "network")):
+        assert quality(error, 1.0, 1e6, kind).startswith(f"the {name} is 30.0 % off")
+        assert quality(Interval(nan, nan, nan), 1.0, 1e6, kind).startswith(f"the error of the {name} is unknown")
+
+
 def test_an_unknown_error_or_interval_is_no_number() -> None:
     nan = math.nan
     assert "unknown" in quality(Interval(nan, nan, nan), 1.0, 1e6)
