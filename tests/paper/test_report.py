@@ -264,9 +264,11 @@ def test_the_depth_ablation_is_relative_to_seven_layers_and_kept(
 
 
 def test_the_command_refuses_unknown_scenes_and_skies(prtbake: Run) -> None:
+    Path("broken.hdr").write_text("no picture")
     for arguments, sentence in (
         (["--scene", "teapot"], "'teapot' is not a scene of the paper"),
         (["--sky", "nowhere.hdr"], "nowhere.hdr: there is no such sky"),
+        (["--sky", "broken.hdr"], "broken.hdr: is not Radiance"),
         (["--scenes", "nowhere"], "nowhere: there is no such folder; the paper's scenes are in the folder scenes of"),
     ):
         outcome = prtbake("report", "paper", "--out", "new", *arguments)

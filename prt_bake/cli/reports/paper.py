@@ -79,6 +79,7 @@ def paper(
     the same command resumes. Prints the figures of each scene, and the tables at the end.
     """
     from prt_bake.baking.sources import require_device
+    from prt_bake.lights.environment import read_environment
     from prt_bake.paper.artefacts import Stopped
     from prt_bake.paper.baselines import contenders
     from prt_bake.paper.baselines.table import standing
@@ -94,6 +95,8 @@ def paper(
     by_default = ["dragon"] if layers or times else list(contenders.SCENES) if baselines else []
     selected = select_scenes(scene or by_default)
     skies = sky_files(sky or (["outdoor"] if times else []), folder)
+    for path in skies.values():
+        read_environment(path)  # a broken file stops the report before the trainings
     check_outputs({"--out": [out / name for name in FILES]}, {"--sky": sky}, folder=out)
     settings = ReportSettings(
         size=size,
