@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from formats.errors import StorageError
+from formats.errors import QueryError, StorageError
 from formats.image import read_image
 from formats.json_report import as_text
 from prt_bake.paper import results as records
@@ -147,12 +147,15 @@ class PaperReport:
 def sky_files(names: Sequence[str], folder: Path) -> dict[str, Path]:
     """Return skies by name. A name is "outdoor" or "indoor" (by default both), or the path of another sky.
 
-    Raises StorageError if there is no such file.
+    Raises StorageError if there is no such file, QueryError for two skies of one name.
     """
-    skies = {}
+    skies: dict[str, Path] = {}
     for name in names or tuple(SKIES):
         path = folder / SKIES[name] if name in SKIES else Path(name)
         if not path.is_file():
             raise StorageError(f"{path}: there is no such sky; expected {', '.join(SKIES)} or a lat-long .hdr or .exr")
-        skies[name if name in SKIES else path.stem] = path
+        title = name if name in SKIES else path.stem
+        if title in skies:
+            raise QueryError(f"--sky: expected skies of different names, found two of {title}; rename one, or omit it")
+        skies[title] = path
     return skies

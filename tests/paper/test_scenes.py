@@ -95,6 +95,15 @@ def test_skies_are_those_of_the_repository_or_files(tmp_path: Path) -> None:
         sky_files(["nowhere.hdr"], FOLDER)
 
 
+def test_two_skies_of_one_name_are_refused(tmp_path: Path) -> None:
+    paths = [tmp_path / folder / "park.hdr" for folder in ("a", "b")]
+    for path in paths:
+        path.parent.mkdir()
+        path.touch()
+    with pytest.raises(QueryError, match="found two of park"):
+        sky_files([str(path) for path in paths], tmp_path)
+
+
 def test_quick_settings_limit_every_bake() -> None:
     quick = ReportSettings().quick()
     for paper in SCENES:

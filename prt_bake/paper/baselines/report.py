@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.errors import QueryError
+from formats.errors import MeshError, QueryError
 from formats.image import read_image, read_layers
 from formats.json_report import as_text, write_report
 from prt_bake.baselines.ceiling import measure_ceiling
@@ -73,7 +73,7 @@ class BaselineReport:
             name = contender.name
             try:
                 yield name, scene.model if name == "net" else self._trained(scene, contender, sky, lighting)
-            except QueryError as refusal:
+            except (MeshError, QueryError) as refusal:
                 self.artefacts.say(f"{scene.paper.name}, {contender.title}: left out: {refusal}")
                 yield name, str(refusal)
 

@@ -25,7 +25,8 @@ a sky of 16×32 pixels; all other rows have the whole sky.
 free at every position and view: no BRDF without a glossy lobe does better. MB is the size of the model's file, s the
 rendering time at {spp} samples per pixel. Directions are drawn by the importance module of *Net*.
 
-The paper's figures are those of its second table, for pictures of 1920² under its own skies, with their noise."""
+The paper's figures are those of its second table, for pictures of 1920² under its own skies, with their noise. It has
+one NeRFactor, one NeuMIP and one network, repeated beside each of ours."""
 
 _COLUMNS = ("Model", "MSE", "SSIM", "SSIM ¼", "FLIP", "× MSE", "× FLIP", "Ŝ", "a_lm", "MB", "s")
 _PAPER_COLUMNS = ("paper: MSE", "SSIM", "SSIM ¼", "FLIP", "× MSE", "× FLIP")
