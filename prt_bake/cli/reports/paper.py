@@ -95,9 +95,9 @@ def paper(
     by_default = ["dragon"] if layers or times else list(contenders.SCENES) if baselines else []
     selected = select_scenes(scene or by_default)
     skies = sky_files(sky or (["outdoor"] if times else []), folder)
+    check_outputs({"--out": [out / name for name in FILES]}, {"--sky": sky}, folder=out)
     for path in skies.values():
         read_environment(path)  # a broken file stops the report before the trainings
-    check_outputs({"--out": [out / name for name in FILES]}, {"--sky": sky}, folder=out)
     settings = ReportSettings(
         size=size,
         spp=spp,
