@@ -11,11 +11,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from formats.errors import QueryError
+from formats.errors import QueryError, refuse_path
 from formats.scene import Scene
 from prt_bake.baselines.neumip import NeuMIP
 from prt_bake.baselines.neumip_settings import NeuMIPSettings
-from prt_bake.baselines.texture_space import Coverage, cover, dilate
+from prt_bake.baselines.texture_space import Array, Coverage, cover, dilate
 from prt_bake.baselines.unwrapping import texture_coordinates
 from prt_bake.network.model import TrainableModel
 from prt_bake.tracer.prepared import smooth_part
@@ -71,6 +71,7 @@ def train_neumip(
     >>> model.settings.texels
     512
     """
+    refuse_path("scene", scene, "prt.load_scene")
     if device != "cpu":
         raise QueryError(f"NeuMIP: learns on the processor only; expected device 'cpu', found {device!r}")
     if own_loss and (smooth := smooth_part(scene)) is not None:
@@ -79,9 +80,10 @@ def train_neumip(
             "of neumip-log needs; train the baseline neumip"
         )
     chosen, report = settings or NeuMIPSettings(levels=levels, seed=seed), say or (lambda sentence: None)
+    corner_uv = texture_coordinates(scene.mesh, chosen.texels, report)
     model = train_model(
         scene,
-        lambda data, _device: NeuMIPFit(data, chosen, own_loss, report),
+        lambda data, _device: NeuMIPFit(data, chosen, own_loss, corner_uv),
         seed=seed,
         device=device,
         learning=learning or LEARNING,
@@ -102,14 +104,10 @@ train_neumip_pyramid = partial(train_neumip, levels=PYRAMID)
 class NeuMIPFit:
     """Fits a NeuMIP (`prt_bake.trainer.fit.Fit`)."""
 
-    def __init__(
-        self, data: TrainingData, settings: NeuMIPSettings, own_loss: bool, say: Callable[[str], None]
-    ) -> None:
-        """Lay out the object's texture space."""
-        self._scene, self._settings, self._own_loss = data.scene, settings, own_loss
-        mesh = data.scene.mesh
-        self._corner_uv = texture_coordinates(mesh, settings.texels, say)
-        faces = np.asarray(mesh.faces, np.int64)
+    def __init__(self, data: TrainingData, settings: NeuMIPSettings, own_loss: bool, corner_uv: Array) -> None:
+        """Lay out the object's texture space, from texture coordinates [F,3,2] of its faces' corners."""
+        self._scene, self._settings, self._own_loss, self._corner_uv = data.scene, settings, own_loss, corner_uv
+        faces = np.asarray(data.scene.mesh.faces, np.int64)
         self._coverages = [cover(self._corner_uv, faces, size) for size in settings.sizes]
         own = {f"neumip {name}": value for name, value in settings.as_json().items()}
         self.resume_settings: dict[str, Any] = {**own, "own_loss": own_loss}

@@ -38,7 +38,7 @@ def texture_coordinates(mesh: Mesh, size: int, say: Callable[[str], None]) -> Ar
         if not reason:
             return own
     if missing := missing_sentence("xatlas"):
-        raise MeshError(f"mesh: {reason}, and its places need texels of their own; to unwrap it, {missing}")
+        raise MeshError(f"mesh: {reason}, and its places need texels of their own, which xatlas gives it; {missing}")
     say(f"mesh: {reason}; it is unwrapped by xatlas, and the model keeps the new coordinates")
     return unwrap(mesh, size)
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from formats.errors import ModelError, QueryError
+from formats.errors import MeshError, ModelError, QueryError
 from formats.mesh import Mesh, build_mesh, write_mesh
 from formats.scene import Scene, read_scene
 from prt_bake.baking.bake import bake
@@ -341,6 +341,15 @@ def test_a_stopped_training_goes_on_where_it_was(scene: Scene, tmp_path: Path) -
     train_neumip(scene, steps=40, output=tmp_path / "m.pt", stop=lambda: next(calls) >= 20, **arguments)
     resumed = train_neumip(scene, steps=40, output=tmp_path / "m.pt", resume=True, **arguments)
     assert torch.equal(whole.table, resumed.table)
+
+
+def test_without_xatlas_it_stops_before_paths_are_traced(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("prt_bake.baselines.unwrapping.missing_sentence", lambda *_: "xatlas is not installed")
+    monkeypatch.setattr("prt_bake.baselines.unwrapping.fault_of", lambda *_: "its texture coordinates overlap")
+    sentences: list[str] = []
+    with pytest.raises(MeshError, match="xatlas is not installed"):
+        train_neumip(scene, steps=2, say=sentences.append)
+    assert not sentences
 
 
 def test_the_pyramid_has_nine_levels_that_all_learn(scene: Scene) -> None:

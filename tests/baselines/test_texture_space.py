@@ -137,7 +137,7 @@ def test_coordinates_that_do_not_suit_are_refused_without_xatlas(
 ) -> None:
     missing = "xatlas is not installed; pip install xatlas"
     monkeypatch.setattr(unwrapping, "missing_sentence", lambda *_: missing)
-    with pytest.raises(MeshError, match=f"mesh: {reason}.*; to unwrap it, {missing}"):
+    with pytest.raises(MeshError, match=rf"mesh: {reason}.*, which xatlas gives it; {missing}"):
         told(mesh)
 
 
