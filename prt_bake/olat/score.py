@@ -29,7 +29,7 @@ from prt_bake.comparison.noise import PixelErrors, errors_of, same_random_number
 from prt_bake.comparison.noise_free import compare_without_noise
 from prt_bake.comparison.object_figures import LUMINANCE, MIDDLE_GREY
 from prt_bake.mathematics.noise_free import Interval, ratio
-from prt_bake.olat.description import read_dataset
+from prt_bake.olat.description import NAME, read_dataset
 from prt_bake.olat.pictures import SKIES, TEST
 
 METRICS = ("mse", "ssim", "flip")
@@ -116,6 +116,8 @@ def score(
     Raises FormatError for a folder that is no test set, StorageError for missing pictures, and QueryError for pictures
     of other sizes or that are not finite, naming the first.
     """
+    if (predicted / NAME).is_file() and not (folder / NAME).is_file():
+        raise QueryError(f"{predicted}: is a test set, and {folder} is none; give the predicted pictures first")
     read_dataset(folder)
     names = {name: _names(folder, name) for name in (TEST, SKIES) if (predicted / name).is_dir()}
     chosen = {name: found for name, found in names.items() if found}

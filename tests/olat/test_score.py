@@ -172,6 +172,8 @@ def test_folders_that_are_none(references: Path, tmp_path: Path) -> None:
     with pytest.raises(StorageError, match=r"expected predicted pictures in test/ or held_out_skies/"):
         score(tmp_path, references)
     with pytest.raises(FormatError, match=r"expected the folder of a test set with dataset\.json"):
+        score(tmp_path, tmp_path)
+    with pytest.raises(QueryError, match="is a test set, and .* is none; give the predicted pictures first"):
         score(references, tmp_path)
     small = shutil.copytree(references, tmp_path / "small")
     layers = {"error": np.full((SIDE, SIDE, 3), 0.1)}
