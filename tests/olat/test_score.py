@@ -173,7 +173,7 @@ def test_folders_that_are_none(references: Path, tmp_path: Path) -> None:
         score(tmp_path, references)
     with pytest.raises(FormatError, match=r"expected the folder of a test set with dataset\.json"):
         score(tmp_path, tmp_path)
-    with pytest.raises(QueryError, match="is a test set, and .* is none; give the predicted pictures first"):
+    with pytest.raises(QueryError, match=r"is a test set, and .* is none; give the predicted pictures first"):
         score(references, tmp_path)
     small = shutil.copytree(references, tmp_path / "small")
     layers = {"error": np.full((SIDE, SIDE, 3), 0.1)}
