@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from formats.extras import require
-from prt_bake.cli.olat import score_folders
 from prt_bake.cli.shared.bounds import Bounds, FailAbove, FailBelow
 from prt_bake.cli.shared.kinds import refuse_other_kinds
 from prt_bake.cli.shared.options import AsJson, optional_output
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
+from prt_bake.cli.shared.test_sets import score_folders
 
 if TYPE_CHECKING:
     from formats.image.exr import Layers

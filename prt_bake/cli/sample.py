@@ -6,12 +6,12 @@ from typing import Annotated, Any
 import typer
 
 from formats.errors import FormatError, PrtbakeError
-from prt_bake.cli.olat import write_olat
 from prt_bake.cli.shared.kinds import refuse_other_kinds
 from prt_bake.cli.shared.next_step import say_next, unused
 from prt_bake.cli.shared.options import Force, Seed, Size, read_size
 from prt_bake.cli.shared.outputs import check_outputs, refuse_existing
 from prt_bake.cli.shared.progress import reporting, stopping
+from prt_bake.cli.shared.test_sets import write_olat
 
 _SUFFIXES = (".h5", ".hdf5")
 

@@ -108,3 +108,9 @@ def _plain(values: Facts) -> Facts:
     """Return the values as JSON stores them: tuples become lists."""
     plain: Facts = json.loads(json.dumps(values))
     return plain
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, atomically."""
+    with replacing(path) as part:
+        part.write_text(text, encoding="utf-8")

@@ -12,7 +12,7 @@ from formats.errors import QueryError, StorageError
 from formats.image import read_image
 from formats.json_report import as_text
 from prt_bake.paper import results as records
-from prt_bake.paper.artefacts import Artefacts
+from prt_bake.paper.artefacts import Artefacts, write_text
 from prt_bake.paper.baselines.contenders import Comparison
 from prt_bake.paper.baselines.report import FILES as BASELINE_FILES
 from prt_bake.paper.baselines.report import BaselineReport
@@ -25,7 +25,6 @@ from prt_bake.paper.settings import ReportSettings
 from prt_bake.paper.sheet import Row, Tile, write_sheet
 from prt_bake.paper.sigma import SigmaPicture, write_sigma
 from prt_bake.paper.tables import markdown
-from prt_bake.paper.text import write_text
 from prt_bake.paper.times import Trained, trainings
 from prt_bake.paper.times import as_json as times_json
 

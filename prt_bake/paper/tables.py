@@ -17,7 +17,6 @@ from prt_bake.paper.results import (
     paper_scene,
 )
 from prt_bake.paper.scenes import LEAST_SHARE, SCENES, PaperRow
-from prt_bake.paper.text import markdown_table
 
 _EXPLANATION = """Pictures are {size}² and show subsurface light alone: no reflection, a black background, and no
 unscattered transmission. Figures are means over the pixels that the object covers completely. The exposure gives the
@@ -199,3 +198,15 @@ def _small(value: float) -> str:
 
 def _seconds(value: float) -> str:
     return f"{value:.1e}" if 0.0 < value < 0.01 else f"{value:.3g}" if value < 1000.0 else f"{value:.0f}"
+
+
+def markdown_table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a Markdown table.
+
+    >>> print(markdown_table(("a", "b"), [("1", "2")]))
+    | a | b |
+    |---|---|
+    | 1 | 2 |
+    """
+    head = [f"| {' | '.join(columns)} |", f"|{'|'.join('---' for _ in columns)}|"]
+    return "\n".join(head + [f"| {' | '.join(row)} |" for row in rows])

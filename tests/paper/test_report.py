@@ -14,10 +14,7 @@ from PIL import Image
 
 from formats.errors import ModelError
 from formats.image import read_image, read_layers
-from formats.mesh import read_mesh
 from formats.scene import read_scene
-from prt_bake.importance.module import ImportanceModule, save_importance
-from prt_bake.importance.settings import ImportanceSettings
 from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF, load_model, save_model
 from prt_bake.paper.artefacts import Artefacts, Stopped
 from prt_bake.paper.layers import ablation
@@ -32,6 +29,7 @@ from prt_bake.trainer.learner import LearningSettings
 from prt_bake.trainer.samples.rows import StreamSettings
 from tests import ROOT
 from tests.cli.command_line import Run
+from tests.paper.shipped_scene import write_scenes
 
 pytestmark = pytest.mark.statistics
 
@@ -44,15 +42,7 @@ GOAL = "path tracing 16 paths per pixel"
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("scenes")
-    for name in ("spot.toml", "spot.obj", "sigma_t.npy", "albedo.npy"):
-        shutil.copy(SHIPPED / name, folder / name)
-    (folder / "models").mkdir()
-    model = folder / "models/lucy.pt"
-    shutil.copy(SHIPPED / "spot.pt", model)
-    low, high = read_mesh(SHIPPED / "spot.obj").bounds
-    save_importance(ImportanceModule(ImportanceSettings(), low, float((high - low).max())), model)
-    return folder
+    return write_scenes(tmp_path_factory.mktemp("scenes"), "lucy")
 
 
 def run(out: Path, scenes: Path, messages: list[str], **options: Any) -> list[Result]:

@@ -19,7 +19,7 @@ from prt_bake.comparison.object_figures import exposure, framing, object_mask
 from prt_bake.lights.environment import rotation
 from prt_bake.lights.lighting import Lighting, Sky
 from prt_bake.mathematics.noise_free import Interval
-from prt_bake.paper.artefacts import Artefact, Artefacts, Facts
+from prt_bake.paper.artefacts import Artefact, Artefacts, Facts, write_text
 from prt_bake.paper.baselines.contenders import CONTENDERS, FIGURES, Comparison, Contender, Entry
 from prt_bake.paper.baselines.table import markdown
 from prt_bake.paper.models import train_once
@@ -29,7 +29,6 @@ from prt_bake.paper.scene_report import Progress, SceneReport, write_maps
 from prt_bake.paper.scenes import PaperScene, is_stand_in
 from prt_bake.paper.settings import ReportSettings
 from prt_bake.paper.sheet import Row, Tile, write_sheet
-from prt_bake.paper.text import write_text
 
 FILES = ("baselines.md", "baselines.json", "baselines.png")
 """The table and the sheet of pictures, in the folder of the report."""

@@ -7,7 +7,7 @@ from typing import Any
 from prt_bake.mathematics.noise_free import Interval
 from prt_bake.paper.baselines.contenders import CONTENDERS, EQUAL, FIGURES, Comparison, Contender, Entry
 from prt_bake.paper.results import paper_scene
-from prt_bake.paper.text import markdown_table
+from prt_bake.paper.tables import markdown_table
 
 _EXPLANATION = """Pictures are {size}² and show subsurface light alone. Figures are means over the pixels that the
 object covers completely. The exposure gives the reference's object a median luminance of 0.18. MSE is that of linear

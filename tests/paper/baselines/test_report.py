@@ -1,7 +1,6 @@
 """The comparison with baselines from end to end, on a few pixels."""
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,17 +10,14 @@ from PIL import Image
 
 from formats.errors import QueryError
 from formats.image import read_image
-from formats.mesh import read_mesh
-from prt_bake.importance.module import ImportanceModule, save_importance
-from prt_bake.importance.settings import ImportanceSettings
 from prt_bake.paper.artefacts import Artefacts, Stopped
 from prt_bake.paper.baselines import report as module
 from prt_bake.paper.baselines.contenders import CONTENDERS, EQUAL, Comparison
 from prt_bake.paper.baselines.report import BaselineReport
 from prt_bake.paper.scenes import SCENES, BakeSettings
 from prt_bake.paper.settings import ReportSettings
-from prt_bake.shipped.demonstration import SHIPPED
 from tests import ROOT
+from tests.paper.shipped_scene import write_scenes
 
 pytestmark = pytest.mark.statistics
 
@@ -34,15 +30,7 @@ SHORT = tuple(each for each in CONTENDERS if each.name in ("nerfactor", EQUAL, "
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("scenes")
-    for name in ("spot.toml", "spot.obj", "sigma_t.npy", "albedo.npy"):
-        shutil.copy(SHIPPED / name, folder / name)
-    (folder / "models").mkdir()
-    model = folder / "models/grape.pt"
-    shutil.copy(SHIPPED / "spot.pt", model)
-    low, high = read_mesh(SHIPPED / "spot.obj").bounds
-    save_importance(ImportanceModule(ImportanceSettings(), low, float((high - low).max())), model)
-    return folder
+    return write_scenes(tmp_path_factory.mktemp("scenes"), "grape")
 
 
 def run(
