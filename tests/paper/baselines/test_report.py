@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from formats.atomic import sha256
 from formats.errors import QueryError
 from formats.image import read_image
-from prt_bake.paper.artefacts import Artefacts, Stopped
+from prt_bake.lights.environment import read_environment
+from prt_bake.lights.lighting import Lighting
+from prt_bake.paper.artefacts import Artefact, Artefacts, Stopped
 from prt_bake.paper.baselines import report as module
 from prt_bake.paper.baselines.contenders import CONTENDERS, EQUAL, Comparison
 from prt_bake.paper.baselines.report import BaselineReport
@@ -93,6 +96,33 @@ def test_a_model_that_refuses_the_scene_leaves_its_row_out(
     assert "- NeuMIP is left out: it has no values" in (tmp_path / "baselines.md").read_text(encoding="utf-8")
     assert not (tmp_path / "grape/outdoor/baselines/neumip.exr").exists()
     assert read_image(tmp_path / "grape/outdoor/net_mis.exr").shape == (32, 32, 3)
+
+
+def test_the_light_of_each_row(tmp_path: Path, scenes: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = ("nerfactor-unknown", "nerfactor-512", "nerfactor-own-sky", "net")
+    for name in ("prt_bake.paper.baselines.report.CONTENDERS", "prt_bake.paper.baselines.table.CONTENDERS"):
+        monkeypatch.setattr(name, tuple(each for each in CONTENDERS if each.name in names))
+    learned_under: dict[str, Lighting | None] = {}
+    shipped = scenes / "models/grape.pt"
+
+    def shipped_network(artefacts: Artefacts, file: str, *_: object, light: Lighting | None, **__: object) -> Artefact:
+        learned_under[file] = light
+        return Artefact(shipped, sha256(shipped), {"megabytes": 0.1})
+
+    monkeypatch.setattr(module, "train_once", shipped_network)
+    run(tmp_path, scenes, [])
+    lights = {file: None if light is None else light.skies[0].image for file, light in learned_under.items()}
+    assert lights.pop("grape/baselines/nerfactor-unknown.pt") is None
+    np.testing.assert_array_equal(lights.pop("grape/outdoor/baselines/nerfactor-known.pt"), read_environment(SKY))
+    assert not lights
+    # One network, with the same random numbers: only the light of 16×32 pixels differs, and its energy does not.
+    whole, own, coarse = (
+        read_image(tmp_path / f"grape/outdoor/baselines/{name}.exr")
+        for name in ("nerfactor-unknown", "nerfactor-own-sky", "nerfactor-512")
+    )
+    np.testing.assert_array_equal(whole, own)
+    assert np.abs(coarse - whole).mean() / whole.mean() > 1e-3
+    assert coarse.mean() == pytest.approx(whole.mean(), rel=0.2)
 
 
 def test_a_stop_is_passed_on(tmp_path: Path, scenes: Path) -> None:

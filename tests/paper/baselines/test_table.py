@@ -80,6 +80,7 @@ def test_a_sentence_says_how_far_the_network_is_ahead() -> None:
     assert standing(comparison(), NEUMIP) == (
         "NeuMIP: its MSE is 12 times (paper 2) and its FLIP is 12 times (paper 2.9) that of Net after the same minutes"
     )
+    assert not any(standing(comparison(), contender) for contender in CONTENDERS if contender.name == EQUAL)
     exact = replace(comparison(), entries=tuple(entry(c.name, 0.0) for c in CONTENDERS))
     assert standing(exact, NEUMIP) == ""
 
