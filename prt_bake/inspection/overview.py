@@ -14,6 +14,8 @@ _WHAT = {
     "picture": "picture",
     "scene": "scene: an object and what it is made of",
     "model": "model: a network that was trained on one object",
+    "neumip": "model: NeuMIP, a baseline, trained on one object",
+    "nerfactor": "model: NeRFactor, a baseline, trained on one object",
     "function": "function: a network of another program, for `prtbake bake --convention`",
     "lights": "lights file, for --light",
     "importance": "importance module of a model; `prtbake render` finds it by its name",
@@ -66,6 +68,7 @@ def _model(figures: Figures) -> dict[str, str]:
         f"{training['steps']:,} steps" if "steps" in training else "",
     ]
     return {
+        "kind": _WHAT.get(figures["model"], _WHAT["model"]),
         "object": f"that of {figures['scene']}" if figures.get("scene") else "",
         "longest side": _length(figures["box side"], figures.get("unit", NO_UNIT)),
         "error of the coefficients": "" if error is None else str(ErrorInterval(error, *(interval or ()))),

@@ -37,6 +37,8 @@ _SUFFIXES = (".exr", ".png")
 _UNKNOWN = Interval(math.nan, math.nan, math.nan)
 _FEWEST = 8
 """Pictures; fewer give no interval."""
+_LEAST_OF_NOISE = 0.5
+"""Share of the squared noise below which the squared error of independent pictures hardly ever is."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,11 @@ class SetScore:
     def of_noise(self, metric: str) -> float:
         """The mean of a metric over pictures that differ by noise alone; NaN if noise was kept."""
         return _mean([score.of_noise.get(metric, np.nan) for score in self.pictures.values()]).value
+
+    def shares_noise(self) -> bool:
+        """Whether predictions are nearer to the references than independent noise allows, as copies of them are."""
+        measured = self.measured("mse").value
+        return measured == 0.0 or measured < _LEAST_OF_NOISE * self.of_noise("mse")
 
     def as_json(self) -> dict[str, Any]:
         """Plain JSON values; PSNR is that of the mean squared error, with a peak of 1."""

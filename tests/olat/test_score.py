@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from formats.errors import FormatError, QueryError, StorageError
-from formats.image import write_image
+from formats.image import read_layers, write_image
 from prt_bake.mathematics.noise_free import Interval
 from prt_bake.olat.score import psnr, score
 
@@ -82,6 +82,22 @@ def test_an_independent_rendering_differs_by_its_noise_alone(references: Path, t
         assert interval.low <= perfect + 0.01 * (metric == "flip")
         assert interval.high >= perfect - 0.01
         assert interval.low < interval.high  # the uncertainty of the extrapolation remains
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e-3])
+def test_copies_share_the_noise(references: Path, tmp_path: Path, offset: float) -> None:
+    """Exact ones, and ones that another program has written a little differently."""
+    for number in range(COUNT):
+        path = references / f"test/v000_l{number:03d}.exr"
+        image = read_layers(path).image + offset * _coverage()[..., None]
+        (tmp_path / "test").mkdir(exist_ok=True)
+        write_image(tmp_path / f"test/{path.name}", image)
+    assert score(tmp_path, references)["test"].shares_noise()
+
+
+def test_pictures_of_another_renderer_do_not_share_the_noise(references: Path, tmp_path: Path) -> None:
+    assert not score(_predict(tmp_path, _truth(), None), references)["test"].shares_noise()
+    assert not score(tmp_path, references, keep_noise=True)["test"].shares_noise()
 
 
 def test_an_error_beneath_the_noise_is_found(references: Path, tmp_path: Path) -> None:

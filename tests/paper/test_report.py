@@ -267,3 +267,10 @@ def test_the_command_refuses_unknown_scenes_and_skies(prtbake: Run) -> None:
         assert outcome.err.count("\n") == 1
         assert not list(Path().glob("new/*"))
     assert prtbake("report", "paper", "--size", "none").code == 2
+
+
+def test_a_quick_report_says_that_its_figures_mean_nothing(prtbake: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("prt_bake.paper.report.PaperReport.run", lambda *_arguments: None)
+    sentence = "--quick tests the report; the figures that it prints mean nothing"
+    assert sentence in prtbake("report", "paper", "--out", "quick", "--quick").err
+    assert sentence not in prtbake("report", "paper", "--out", "new").err

@@ -119,6 +119,8 @@ def paper(
         for sentence in filter(None, (standing(comparison, contender) for contender in contenders.CONTENDERS)):
             print(f"{comparison.scene}, {comparison.sky}: {sentence}", flush=True)
 
+    if quick:
+        say("report paper: --quick tests the report; the figures that it prints mean nothing")
     with stopping() as stop:
         report = PaperReport(out, folder, settings, quick=quick, say=say, progress=_progress_lines(), stop=stop)
         try:

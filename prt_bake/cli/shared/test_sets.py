@@ -73,6 +73,11 @@ def score_folders(predicted: Path, folder: Path, exposure: float | None, keep_no
         print(f"{name}: {len(found.pictures)} pictures, exposure {found.exposure:+.2f} EV")
         for line in _lines(found):
             print(f"  {line}")
+        if found.shares_noise():
+            say(
+                f"{name}: the predictions are nearer to the references than their noise, as copies are; the figures "
+                "mean nothing"
+            )
         if len(found.pictures) < 8 and not keep_noise:
             say(f"{name}: an interval needs 8 pictures or more")
 
