@@ -45,12 +45,14 @@ VARIANTS = {
     "AdamW alone, all rays from the first step": Variant({"coarse_steps": 0, "muon": False}),
     "rate 0.008": Variant({"rate": 8e-3}),
     "weight decay 0.3": Variant({"decay": 0.3}),
+    "batch 128": Variant({"batch": 128}),
     "batch 256": Variant({"batch": 256}),
     "batch 2048": Variant({"batch": 2048}),
     "without the material": Variant(network={"material_channels": 0}),
     "grid of 64 nodes": Variant(network={"grid_places": 64}),
     "24 samples of the ray": Variant(network={"ray_samples": 24}),
     "8 places of the shape": Variant(network={"shape_places": 8}),
+    "width 192": Variant(network={"width": 192}),
     "width 256": Variant(network={"width": 256}),
     "spread of G 2.4 (positions)": Variant(network={"position_spread": 2.4}),
 }
@@ -62,12 +64,14 @@ def main() -> None:
     parser.add_argument("scene", type=Path)
     parser.add_argument("variants", nargs="*", default=list(VARIANTS), help=f"of {', '.join(VARIANTS)}")
     parser.add_argument("--queries", type=int, default=614_400)
+    parser.add_argument("--paths", type=int, default=32, help="per query")
+    parser.add_argument("--rays", type=int, default=24, help="that represent the paths of a query")
     parser.add_argument("--walks", type=int, default=8192, help="of each of the 1,000 queries of the reference")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     scene = read_scene(arguments.scene)
     reference = hold_out_coefficients(scene, 1000, arguments.walks, 777, 512)
-    rows = traced_rows(scene, arguments.queries)
+    rows = traced_rows(scene, arguments.queries, StreamSettings(exits=arguments.paths, kept=arguments.rays))
     for name in arguments.variants:
         begun = time.perf_counter()
         network, steps = trained(scene, rows, reference.scale(), VARIANTS[name])
@@ -75,9 +79,9 @@ def main() -> None:
         print(f"{name:42s} {steps} steps, {seconds:4.0f} s, {errors(network, reference)}", flush=True)
 
 
-def traced_rows(scene: Scene, count: int) -> Array:
-    """Rows of `count` queries with 32 walks each, represented by 24 rays."""
-    tracer = ExitTracer(prepare(scene), box_of(scene), StreamSettings(exits=32, kept=24), 0)
+def traced_rows(scene: Scene, count: int, settings: StreamSettings) -> Array:
+    """Rows of `count` queries."""
+    tracer = ExitTracer(prepare(scene), box_of(scene), settings, 0)
     block = 4096
     blocks = [tracer.render(first, min(block, count - first)).rows for first in range(0, count, block)]
     return np.concatenate(blocks)
