@@ -12,12 +12,11 @@ import typer
 
 from formats.errors import PrtbakeError
 from prt_bake.cli.shared.kinds import SOURCE, refuse_other_kinds
-from prt_bake.cli.shared.lobes import lobes_sentence
 from prt_bake.cli.shared.mesh_name import naming_mesh
 from prt_bake.cli.shared.next_step import say_next_of_asset
 from prt_bake.cli.shared.options import Force, OnlyEye, ReportFile, Seed, output_option, within
 from prt_bake.cli.shared.outputs import check_outputs, refuse_existing, warn_of_small_disk
-from prt_bake.cli.shared.plan import plan_lines
+from prt_bake.cli.shared.plan import lobes_sentence, plan_lines
 from prt_bake.cli.shared.progress import Stop, bake_progress, reporting, say, stopping
 
 if TYPE_CHECKING:

@@ -7,10 +7,10 @@ import typer
 
 from formats.atomic import existing
 from prt_bake.cli.shared.kinds import refuse_other_kinds
-from prt_bake.cli.shared.lobes import lobes_sentence
 from prt_bake.cli.shared.next_step import say_next_of_asset
 from prt_bake.cli.shared.options import Device, Force, optional_output
 from prt_bake.cli.shared.outputs import check_outputs, refuse_existing
+from prt_bake.cli.shared.plan import lobes_sentence
 from prt_bake.cli.shared.progress import reporting
 
 

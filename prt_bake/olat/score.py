@@ -99,6 +99,7 @@ class SetScore:
             report[part.__name__] = {metric: mean.as_json() for metric, mean in means.items()}
         report["of_noise"] = {metric: self.of_noise(metric) for metric in METRICS}
         report["of_noise"]["psnr"] = _decibels(report["of_noise"]["mse"])
+        report["shares_noise"] = self.shares_noise()
         report["by_picture"] = {name: score.as_json() for name, score in self.pictures.items()}
         return report
 

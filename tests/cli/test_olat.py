@@ -40,6 +40,7 @@ def test_a_test_set_is_announced_written_continued_and_scored(prtbake: Run, tmp_
     assert "test: the predictions are nearer to the references than their noise, as copies are" in scores.err
     assert "test: an interval needs 8 pictures or more" in scores.err
     as_json = json.loads(prtbake("compare", folder, folder, "--json").out)
+    assert as_json["test"]["shares_noise"] is True
     assert as_json["held_out_skies"]["noise_free"]["flip"]["value"] == 0.0
     assert "test: 1 pictures, exposure +0.00 EV" in prtbake("compare", folder, folder, "--exposure", "0").out
     (folder / "test" / "v001_l002.exr").rename(folder / "test" / "lost.exr")

@@ -44,6 +44,18 @@ def test_an_onnx_function_is_sound_and_named(tmp_path: Path) -> None:
     assert "expected one input [rows, 7], found x [n, 9]" in fault
 
 
+@pytest.mark.parametrize(
+    ("model", "kind"),
+    [
+        ("neural bssrdf", "model: a network that was trained on one object"),
+        ("neumip", "model: NeuMIP, a baseline, trained on one object"),
+        ("nerfactor", "model: NeRFactor, a baseline, trained on one object"),
+    ],
+)
+def test_a_model_is_named_by_its_kind(model: str, kind: str) -> None:
+    assert overview({"kind": "model", "model": model, "bytes": 9, "box side": 1.0, "weights": 2})["kind"] == kind
+
+
 def test_an_asset_of_one_light_says_so(tmp_path: Path) -> None:
     asset = make_asset(ball(1), degree=0)
     write_asset(dataclasses.replace(asset, quantity="radiance", folded_in="x"), tmp_path / "a.h5")

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from formats.atomic import replacing
 from prt_bake.cli.making.record import ASSET, COMPACT, MODEL, PAGE, PICTURE, SUMMARY, TURNTABLE, Record
 from prt_bake.cli.making.steps import COMPRESSION_ERROR
-from prt_bake.cli.shared.lobes import lobes_sentence
+from prt_bake.cli.shared.plan import lobes_sentence
 from prt_bake.cli.shared.progress import in_words
 
 

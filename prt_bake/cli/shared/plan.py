@@ -1,9 +1,8 @@
-"""The plan of a bake as text for a terminal."""
+"""The plan of a bake, and what its lobes gain, as text for a terminal."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from prt_bake.cli.shared.lobes import lobes_sentence
 from prt_bake.cli.shared.progress import in_words
 
 if TYPE_CHECKING:
@@ -31,3 +30,14 @@ def plan_lines(plan: "BakePlan") -> Iterator[str]:
         for item in items:
             saving = f"; {item.saving}" if item.saving else ""
             yield f"{title}: {item.item}: {item.reason}{saving}; cost: {item.cost}"
+
+
+def lobes_sentence(entry: dict[str, Any]) -> str:
+    """A sentence for an asset's provenance entry "lobes"."""
+    gains = ""
+    if "beyond_harmonics" in entry:
+        gains = f"; {entry['beyond_harmonics']:.1%} of the transport lies beyond the harmonics"
+        gains += f", {entry['left_by_lobes'][-1]:.1%} beyond the lobes too" if entry["lobes_in_a_view"] else ""
+    if not entry["lobes_in_a_view"]:
+        return f"lobes: none, {entry['reason']}{gains}"
+    return f"lobes: {entry['lobes_in_a_view']} in a view{gains}"
