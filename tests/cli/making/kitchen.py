@@ -1,0 +1,100 @@
+"""Commands in place of those that `prtbake make` runs: they only write their files and turn a clock."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from formats.errors import PrtbakeError
+from prt_bake.cli.making.make import make
+from prt_bake.cli.shared.next_step import say_next
+
+SECONDS = {"train": 660.0, "bake": 200.0, "picture": 8.0, "turntable": 20.0}
+
+
+class Kitchen:
+    """Commands that write their files, how long each takes, and one that fails after it has written half."""
+
+    def __init__(self, asset):
+        self.asset, self.seconds, self.now = asset, dict(SECONDS), 0.0
+        self.calls, self.broken, self.slow, self.frame, self.part = [], "", False, 4.0, 1.0
+        self.app = typer.Typer()
+        for command in (make, self.train, self.bake, self.shade):
+            self.app.command(command.__name__)(command)
+
+    def run(self, *arguments):
+        self.calls = []
+        self.app(args=["make", *map(str, arguments)], standalone_mode=False)
+        return self.calls
+
+    def finish(self, name, output, *facts):
+        self.calls.append((name, *facts))
+        self.now += self.part * self.seconds[name]
+        output.write_bytes(b"half")
+        if name == self.broken:
+            Path(f"{output}.journal").mkdir(exist_ok=True)
+            raise PrtbakeError(f"{name}: stopped")
+        if name == "bake":
+            shutil.copy(self.asset, output)
+
+    def train(
+        self,
+        scene: Path,
+        output: Annotated[Path, typer.Option("-o")],
+        minutes: float = 0.0,
+        resume: Annotated[bool, typer.Option("--resume")] = False,
+    ) -> None:
+        output.with_name("model.train.pt").write_bytes(b"state")
+        self.finish("train", output, minutes, resume)
+        output.with_name("model.report.html").write_text("report")
+        say_next("prtbake", "bake", output)
+
+    def bake(
+        self,
+        source: Path,
+        mesh: Path,
+        output: Annotated[Path, typer.Option("-o")],
+        error: float = 0.0,
+        minutes: float = 0.0,
+        workers: int = 1,
+        resume: Annotated[bool, typer.Option("--resume")] = False,
+        rings: int = 16,
+        sectors: int = 64,
+        samples: int = 64,
+        lobes: int = 4,
+    ) -> None:
+        assert source.is_file()
+        assert mesh.is_file()
+        if self.slow and minutes and not resume:
+            self.calls.append(("bake", error, minutes, resume))
+            self.now += 60.0 * minutes
+            Path(f"{output}.journal").mkdir()
+            raise PrtbakeError("nothing was written")
+        assert resume or not Path(f"{output}.journal").exists()
+        self.finish("bake", output, rings if self.slow else error, minutes, resume)
+
+    def shade(
+        self,
+        asset: Path,
+        light: Annotated[list[str], typer.Option("--light")],
+        output: Annotated[Path, typer.Option("-o")],
+        size: str = "",
+        turntable: str = "",
+        frames: int = 0,
+        seconds: float = 0.0,
+        reflection: Annotated[bool, typer.Option("--reflection")] = False,
+        samples: int = 3,
+        tone_map: str = "none",
+        exposure: float = 0.0,
+        view: str = "",
+    ) -> None:
+        assert reflection
+        assert seconds == (3.0 if turntable else 0.0)
+        shown = (tone_map, exposure, view)
+        self.finish("turntable" if turntable else "picture", output, frames, *map(str, light), *shown)
+
+
+def summary():
+    return json.loads(Path("out/summary.json").read_text())

@@ -1,0 +1,66 @@
+"""`prtbake make` that was stopped: what it says, and what the same command continues."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from formats.errors import PrtbakeError
+from prt_bake.cli.shared import signals
+from tests.cli.making.kitchen import summary
+
+
+def test_a_stopped_training_is_resumed(kitchen, capsys):
+    kitchen.broken = "train"
+    with pytest.raises(PrtbakeError, match="train: stopped"):
+        kitchen.run("wax.toml", "-o", "out")
+    assert "train was not finished; the same `prtbake make` continues there" in capsys.readouterr().err
+    kitchen.broken = ""
+    assert kitchen.run("wax.toml", "-o", "out")[0] == ("train", 11.0, True)
+
+
+def test_a_stopped_bake_is_resumed_with_the_time_that_is_left(kitchen, capsys):
+    kitchen.broken = "bake"
+    with pytest.raises(PrtbakeError, match="bake: stopped"):
+        kitchen.run("wax.toml", "-o", "out")
+    kitchen.broken, kitchen.seconds["bake"] = "", 100.0
+    capsys.readouterr()
+    calls = kitchen.run("wax.toml", "-o", "out")
+    assert [call[0] for call in calls] == ["bake", "picture", "turntable"]
+    assert calls[0] == ("bake", 0.02, 3.67, True)  # 7 minutes less 200 s
+    assert "bake, 5:40 min left of 20:00 min" in capsys.readouterr().err
+    assert "--resume" not in Path("out/summary.md").read_text()
+    assert summary()["steps"][1]["seconds"] == 300.0
+    assert summary()["spent"] == 988.0
+
+
+def test_time_that_is_lost_is_taken_from_all_steps(kitchen):
+    """A training that was stopped before it had a checkpoint begins again."""
+    kitchen.broken, kitchen.part = "train", 1.0 / 3.0
+    with pytest.raises(PrtbakeError, match="train: stopped"):
+        kitchen.run("wax.toml", "-o", "out")
+    Path("out/model.train.pt").unlink()
+    record = json.loads(Path("out/summary.json").read_text())
+    Path("out/summary.json").write_text(json.dumps(record | {"unfinished": {}}))
+    kitchen.broken, kitchen.part = "", 1.0
+    assert kitchen.run("wax.toml", "-o", "out")[0] == ("train", 8.98, False)  # 55 % of 20 minutes less 220 s
+
+
+def test_the_exit_code_of_a_step_stops_the_rest(kitchen, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(kitchen, "finish", interrupted)
+    with pytest.raises(SystemExit) as stopped:
+        kitchen.app(args=["make", "wax.toml", "-o", "out"])
+    assert stopped.value.code == 130
+    assert summary()["steps"] == []
+
+
+def test_a_step_that_ends_well_after_ctrl_c_is_not_finished(kitchen, monkeypatch):
+    monkeypatch.setattr(signals, "_received", [])
+    monkeypatch.setattr(kitchen, "finish", lambda *_: signals.record(2))
+    with pytest.raises(SystemExit) as stopped:
+        kitchen.app(args=["make", "wax.toml", "-o", "out"])
+    assert stopped.value.code == 130
+    assert summary()["steps"] == []
