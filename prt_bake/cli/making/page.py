@@ -7,6 +7,7 @@ from prt_bake.cli.making.record import ASSET, COMPACT, MODEL, PAGE, PICTURE, SUM
 from prt_bake.cli.making.steps import COMPRESSION_ERROR
 from prt_bake.cli.shared.plan import lobes_sentence
 from prt_bake.cli.shared.progress import in_words
+from prt_bake.shipped.examples import example
 
 
 def write_page(record: Record) -> None:
@@ -55,11 +56,20 @@ def _lines(record: Record) -> Iterator[str]:
         files = ", ".join(f"{file} ({sizes[file]})" for file in step.files)
         yield f"| {step.name} | {in_words(step.seconds)} | {files or step.note} |"
     yield ""
-    yield "The same by hand:"
-    yield ""
-    yield from (f"    {step.command}" for step in record.steps)
+    yield from _by_hand(record)
     yield ""
     yield f"To look at it: `prtbake view {ASSET}` in this folder."
+
+
+def _by_hand(record: Record) -> Iterator[str]:
+    """The commands of the steps. The shipped sky has its file name: its path is that of one installation."""
+    sky = example("sky.hdr")
+    commands = [step.command for step in record.steps]
+    named = [line.replace(str(sky), sky.name) for line in commands]
+    copied = f"; `{sky.name}` is the shipped sky, which `prtbake example DIR` copies" if named != commands else ""
+    yield f"The same by hand{copied}:"
+    yield ""
+    yield from (f"    {line}" for line in named)
 
 
 def _lobes(record: Record) -> str:

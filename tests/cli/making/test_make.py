@@ -11,6 +11,7 @@ from formats.mesh import build_mesh, write_mesh
 from prt_bake.cli.main import main as prtbake
 from prt_bake.cli.making import steps
 from prt_bake.cli.making.record import only_run
+from prt_bake.shipped.examples import example
 from tests.cli.making.kitchen import SECONDS, summary
 
 
@@ -31,6 +32,9 @@ def test_the_steps_share_the_time(kitchen, capsys):
     assert "    prtbake train wax.toml -o out/model.pt --minutes 11\n" in page
     assert "    prtbake bake out/model.pt ball.obj -o out/asset.h5 --workers" in page
     assert "![picture.png](picture.png)" in page
+    assert "The same by hand; `sky.hdr` is the shipped sky, which `prtbake example DIR` copies:\n" in page
+    assert "    prtbake shade out/asset.h5 --light sky.hdr --light sun:0.6,0.6,-0.6:2,1.9,1.7:3 " in page
+    assert str(example("sky.hdr").parent) not in page
     captured = capsys.readouterr()
     assert captured.out.startswith("out/summary.md: error of the asset ")
     assert "out/asset.h5: " in captured.out
