@@ -9,6 +9,7 @@ import io
 import json
 import math
 import os
+import shlex
 import shutil
 import time
 from pathlib import Path
@@ -53,7 +54,7 @@ class Steps:
 
     def __init__(self, context: typer.Context, record: Record, scene: Path, mesh: Path, lights: list[str]) -> None:
         """`record` has the settings, the time, and what earlier runs spent of it."""
-        self._root = context.find_root().command
+        self._root, self._typed = context.find_root().command, shlex.split(context.obj)
         self._record, self._scene, self._mesh, self._lights = record, scene, mesh, lights
         self._total = 60.0 * record.minutes
         self._began, self._before = time.monotonic(), record.spent
@@ -76,7 +77,10 @@ class Steps:
             try:
                 steps[name]()
             except (PrtbakeError, KeyboardInterrupt, typer.Exit):
-                say(f"{name} was not finished; the same `prtbake make` continues there")
+                again = command(*(word for word in self._typed if word != "--force"))
+                say(f"{name} was not finished; finished steps are kept, and this continues with {name}: {again}")
+                if stopped := signals.exit_code(0):  # the step's message names its own --resume, which is not of `make`
+                    raise typer.Exit(stopped) from None
                 raise
             finally:
                 self._record.spent = self._before + time.monotonic() - self._began
@@ -118,7 +122,8 @@ class Steps:
         try:
             self._run("bake", [*arguments, *within], [ASSET], journal_folder(asset))
         except PrtbakeError:
-            if time.monotonic() < latest or (ready := _share_ready(asset)) == 1.0:
+            stopped = signals.exit_code(0) != 0
+            if stopped or time.monotonic() < latest or (ready := _share_ready(asset)) == 1.0:
                 raise
             return ready
         return 1.0

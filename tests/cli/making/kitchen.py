@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import signal
 from pathlib import Path
 from typing import Annotated
 
@@ -9,24 +10,31 @@ import typer
 
 from formats.errors import PrtbakeError
 from prt_bake.cli.making.make import make
-from prt_bake.cli.shared.next_step import say_next
+from prt_bake.cli.shared import signals
+from prt_bake.cli.shared.next_step import command, say_next
 
 SECONDS = {"train": 660.0, "bake": 200.0, "picture": 8.0, "turntable": 20.0}
 
 
 class Kitchen:
-    """Commands that write their files, how long each takes, and one that fails after it has written half."""
+    """Commands that write their files, how long each takes, and one that fails after it has written half.
+
+    `by_ctrl_c`: a signal stops it. `slow`: a bake takes all its time and has no asset then.
+    """
 
     def __init__(self, asset):
         self.asset, self.seconds, self.now = asset, dict(SECONDS), 0.0
         self.calls, self.broken, self.slow, self.frame, self.part = [], "", False, 4.0, 1.0
+        self.by_ctrl_c = False
         self.app = typer.Typer()
-        for command in (make, self.train, self.bake, self.shade):
-            self.app.command(command.__name__)(command)
+        for function in (make, self.train, self.bake, self.shade):
+            self.app.command(function.__name__)(function)
 
-    def run(self, *arguments):
+    def run(self, *arguments, standalone=False):
+        """Run `prtbake make` and return what it called; `standalone` ends with SystemExit, as the program does."""
         self.calls = []
-        self.app(args=["make", *map(str, arguments)], standalone_mode=False)
+        words = ["make", *map(str, arguments)]
+        self.app(args=words, obj=command("prtbake", *words), standalone_mode=standalone)
         return self.calls
 
     def finish(self, name, output, *facts):
@@ -34,10 +42,15 @@ class Kitchen:
         self.now += self.part * self.seconds[name]
         output.write_bytes(b"half")
         if name == self.broken:
-            Path(f"{output}.journal").mkdir(exist_ok=True)
+            self.leave_half(output)
             raise PrtbakeError(f"{name}: stopped")
         if name == "bake":
             shutil.copy(self.asset, output)
+
+    def leave_half(self, output):
+        Path(f"{output}.journal").mkdir(exist_ok=True)
+        if self.by_ctrl_c:
+            signals.record(signal.SIGINT)
 
     def train(
         self,
@@ -70,7 +83,7 @@ class Kitchen:
         if self.slow and minutes and not resume:
             self.calls.append(("bake", error, minutes, resume))
             self.now += 60.0 * minutes
-            Path(f"{output}.journal").mkdir()
+            self.leave_half(output)
             raise PrtbakeError("nothing was written")
         assert resume or not Path(f"{output}.journal").exists()
         self.finish("bake", output, rings if self.slow else error, minutes, resume)

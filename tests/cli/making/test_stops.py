@@ -14,7 +14,8 @@ def test_a_stopped_training_is_resumed(kitchen, capsys):
     kitchen.broken = "train"
     with pytest.raises(PrtbakeError, match="train: stopped"):
         kitchen.run("wax.toml", "-o", "out")
-    assert "train was not finished; the same `prtbake make` continues there" in capsys.readouterr().err
+    again = "finished steps are kept, and this continues with train: prtbake make wax.toml -o out\n"
+    assert f"train was not finished; {again}" in capsys.readouterr().err
     kitchen.broken = ""
     assert kitchen.run("wax.toml", "-o", "out")[0] == ("train", 11.0, True)
 
@@ -52,7 +53,7 @@ def test_the_exit_code_of_a_step_stops_the_rest(kitchen, monkeypatch):
 
     monkeypatch.setattr(kitchen, "finish", interrupted)
     with pytest.raises(SystemExit) as stopped:
-        kitchen.app(args=["make", "wax.toml", "-o", "out"])
+        kitchen.run("wax.toml", "-o", "out", standalone=True)
     assert stopped.value.code == 130
     assert summary()["steps"] == []
 
@@ -61,6 +62,35 @@ def test_a_step_that_ends_well_after_ctrl_c_is_not_finished(kitchen, monkeypatch
     monkeypatch.setattr(signals, "_received", [])
     monkeypatch.setattr(kitchen, "finish", lambda *_: signals.record(2))
     with pytest.raises(SystemExit) as stopped:
-        kitchen.app(args=["make", "wax.toml", "-o", "out"])
+        kitchen.run("wax.toml", "-o", "out", standalone=True)
     assert stopped.value.code == 130
     assert summary()["steps"] == []
+
+
+@pytest.fixture
+def ctrl_c(kitchen, monkeypatch):
+    """What fails in the kitchen was stopped by Ctrl-C."""
+    monkeypatch.setattr(signals, "_received", [])
+    kitchen.by_ctrl_c = True
+
+
+@pytest.mark.usefixtures("ctrl_c")
+def test_after_ctrl_c_the_same_command_without_force_continues(kitchen, capsys):
+    """The error of a step that has kept its work names --resume, which `make` does not have."""
+    kitchen.broken = "bake"
+    with pytest.raises(SystemExit) as stopped:
+        kitchen.run("wax.toml", "-o", "out", "--light", "sun:0,1,0", "--force", standalone=True)
+    assert stopped.value.code == 130
+    again = "finished steps are kept, and this continues with bake: prtbake make wax.toml -o out --light sun:0,1,0\n"
+    assert f"bake was not finished; {again}" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("ctrl_c")
+def test_a_stop_after_the_time_of_a_bake_stops_the_rest(kitchen):
+    """A coarse bake would remove what the stopped one has kept."""
+    kitchen.slow = True
+    with pytest.raises(SystemExit) as stopped:
+        kitchen.run("wax.toml", "-o", "out", standalone=True)
+    assert stopped.value.code == 130
+    assert [call[0] for call in kitchen.calls] == ["train", "bake"]
+    assert Path("out/asset.h5.journal").is_dir()
