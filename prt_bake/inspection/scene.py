@@ -68,7 +68,7 @@ def find_remarks(path: str | Path) -> list[str]:
     parts, warning = scene.parts, training_warning(scene)
     remarks = [
         *_mended_meshes(parts),
-        *_opaque_or_clear(scene),
+        *([appearance] if (appearance := appearance_remark(scene)) else []),
         *protruding_parts(parts),
         *_misplaced_grids(parts),
         *_energy_losses(parts),
@@ -76,6 +76,17 @@ def find_remarks(path: str | Path) -> list[str]:
         *_facets(parts),
     ]
     return [f"{path}: {remark}" for remark in (*remarks, *([warning] if warning else []))]
+
+
+def appearance_remark(scene: Scene) -> str:
+    """Return a sentence if the outermost part will look opaque or clear, else an empty text.
+
+    A clear one with parts inside has none, since they are what is seen.
+    """
+    light = translucency.of_medium(scene.medium, _longest_side(scene.parts[0]))
+    if light is None or (light.clear and len(scene.parts) > 1):
+        return ""
+    return translucency.remark(light, scene.tables.object.length_in_mm)
 
 
 def _describe_part(part: Part) -> dict[str, Any]:
@@ -127,15 +138,6 @@ def _mended_meshes(parts: tuple[Part, ...]) -> list[str]:
     """Return the faults of mesh files that `prtbake check MESH` finds, but that a scene can be rendered with."""
     paths = dict.fromkeys(part.mesh_path for part in parts)
     return [f"{fault} (the scene is rendered as if it were mended)" for path in paths for fault in check_mesh(path)]
-
-
-def _opaque_or_clear(scene: Scene) -> list[str]:
-    """Return a sentence if the outermost part will not look translucent; what is inside a clear one may."""
-    light = translucency.of_medium(scene.medium, _longest_side(scene.parts[0]))
-    if light is None or (light.clear and len(scene.parts) > 1):
-        return []
-    sentence = translucency.remark(light, scene.tables.object.length_in_mm)
-    return [sentence] if sentence else []
 
 
 def _constant_or_array(quantity: Any, kind: str) -> Any:

@@ -14,9 +14,17 @@ _DEPTH = 0.1
 """Thickness of a slab that stands for the thin parts of an object, as a share of its longest side."""
 _OPAQUE = 1e-3
 """Share of diffuse light through that slab below which nothing is seen to glow."""
-_CLEAR = 1.0
-"""Extinctions times the longest side below which more than a third of the light crosses straight."""
-GUIDE = "translucent looks need an object of some 5 to 50 transport mean free paths"
+_CLEAR = 0.05
+"""Share of white light that crosses the longest side straight, above which an object looks almost clear.
+
+The limit is three transport mean free paths in grey media. Of the light that leaves a smooth ball of index 1.4 and that
+size, 7 % has not scattered; of a cow with thin legs and ears, 26 % (at five mean free paths 1 and 14 %).
+"""
+_SCATTERS = 0.5
+"""Reduced albedo below which light is absorbed before it spreads, in an object of any size."""
+_TRANSLUCENT = (5.0, 50.0)
+"""Longest sides in transport mean free paths that look translucent."""
+GUIDE = "translucent looks need an object of some {:g} to {:g} transport mean free paths".format(*_TRANSLUCENT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +35,7 @@ class Translucency:
         size: longest side of the object.
         mean_free_path: 1 / σt, between two events.
         transport: 1 / (σa + σs′), until the direction is forgotten; σs′ = σs (1 − g).
+        albedo: σs′ / (σa + σs′); 0 without extinction.
         diffuse: 1 / √(3 σa (σa + σs′)), the distance over which diffuse light falls to 1/e; infinite without
             absorption.
         crossing: diffuse transmittance of a slab as thick as a tenth of `size`, from 0 to 1.
@@ -41,6 +50,7 @@ class Translucency:
     size: float
     mean_free_path: Array
     transport: Array
+    albedo: Array
     diffuse: Array
     crossing: Array
 
@@ -56,8 +66,21 @@ class Translucency:
 
     @property
     def clear(self) -> bool:
-        """Whether in every channel much of the light crosses the object without any event."""
-        return bool(self.size < _CLEAR * self.mean_free_path.min())
+        """Whether much of the light crosses the object straight."""
+        return bool(self.straight.mean() > _CLEAR)
+
+    @property
+    def straight(self) -> Array:
+        """The light that crosses the longest side straight, RGB [3]: exp(−thickness / transport).
+
+        Light that is scattered forwards is nearly straight, so the phase function does not matter.
+        """
+        return np.exp(-self.size / self.transport)
+
+    @property
+    def scatters(self) -> bool:
+        """Whether some channel scatters enough to look translucent at some size."""
+        return bool(self.albedo.max() >= _SCATTERS)
 
 
 def translucency(sigma_s: Array, sigma_a: Array, phase_g: float, size: float) -> Translucency:
@@ -67,12 +90,13 @@ def translucency(sigma_s: Array, sigma_a: Array, phase_g: float, size: float) ->
     outside the slab, and its source one transport mean free path inside.
     """
     sigma_t, reduced = sigma_s + sigma_a, sigma_a + (1.0 - phase_g) * sigma_s
+    albedo = np.divide(reduced - sigma_a, reduced, out=np.zeros_like(reduced), where=reduced > 0.0)
     with np.errstate(divide="ignore"):
         transport = 1.0 / reduced
         diffuse = 1.0 / np.sqrt(3.0 * sigma_a * reduced)
         mean_free_path = 1.0 / sigma_t
     crossing = np.array([_slab(*pair, _DEPTH * size) for pair in zip(transport, diffuse, strict=True)])
-    return Translucency(size, mean_free_path, transport, diffuse, crossing)
+    return Translucency(size, mean_free_path, transport, albedo, diffuse, crossing)
 
 
 def of_medium(medium: Medium, size: float) -> Translucency | None:
@@ -97,25 +121,40 @@ def describe(light: Translucency, millimetres: float | None) -> dict[str, Any]:
 
 
 def remark(light: Translucency, millimetres: float | None) -> str:
-    """Return a sentence if the object would look opaque or clear; else an empty text."""
+    """Return a sentence if the object would look opaque or clear, with what looks translucent; else an empty text."""
     scale, unit = (1.0, "scene units") if millimetres is None else (millimetres, "mm")
     found = (
-        f"the mean free path is {channels(light.mean_free_path * scale)} {unit} in an object of "
+        f"the transport mean free path is {channels(light.transport * scale)} {unit} in an object of "
         f"{light.size * scale:.4g} {unit}"
     )
     if light.opaque:
-        paths = light.size / light.transport.max()
         return (
-            f"it will look opaque: {found}, at least {paths:,.0f} transport mean free paths, and less than "
-            f"{_OPAQUE:.1%} of the light crosses a tenth of it; {GUIDE}: lower sigma_t (of a material, density), or "
-            f"check the unit of length"
+            f"it will look opaque: {found}, and less than {_OPAQUE:.1%} of the light crosses a tenth of it; "
+            f"{_advice(light, scale, unit)}"
         )
     if light.clear:
+        straight = channels(100.0 * light.straight.round(3))
         return (
-            f"it is almost clear: {found}, and much of the light crosses it without scattering, which no model or "
-            f"asset holds; {GUIDE}: raise sigma_t (of a material, density), or check the unit of length"
+            f"it is almost clear: {found}, and {straight} % of the light crosses it straight, which models and assets "
+            f"lack or blur; {_advice(light, scale, unit)}"
         )
     return ""
+
+
+def _advice(light: Translucency, scale: float, unit: str) -> str:
+    """Return the sizes and the factors on sigma_t at which the channel that scatters least looks translucent."""
+    if not light.scatters:
+        return (
+            "it absorbs more than it scatters, so no size or density looks translucent: raise albedo, or choose "
+            "another material"
+        )
+    sizes = np.array(_TRANSLUCENT) * light.transport[np.isfinite(light.transport)].max()
+    least, most = (digits(float(f"{size:.2g}")) for size in sizes * scale)
+    low, high = (digits(float(f"{factor:.2g}")) for factor in sizes / light.size)
+    return (
+        f"{GUIDE}: here a longest side of {least} to {most} {unit}, or {low} to {high} times the sigma_t (of a "
+        f"material, density)"
+    )
 
 
 def translucent_size(light: Translucency) -> str:

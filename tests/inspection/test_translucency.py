@@ -9,7 +9,7 @@ from scipy.integrate import solve_bvp
 from formats.mesh import flipped, write_mesh
 from formats.scene.materials import materials, to_scene_units
 from prt_bake.inspection.files import describe, find_faults, find_remarks
-from prt_bake.inspection.translucency import translucency
+from prt_bake.inspection.translucency import remark, translucency
 from tests.tracer.scenes import sphere
 
 SIZE = 10.0
@@ -57,6 +57,28 @@ def test_the_phase_function_changes_the_path_and_not_what_crosses():
     assert (forward.mean_free_path < 0.25 * isotropic.mean_free_path).all()
 
 
+@pytest.mark.parametrize("g", [0.0, 0.8])
+def test_clear_is_a_twentieth_of_white_light_straight_through(g):
+    """exp(−3) = 0.050 in grey; with one channel alone exp(−L) = 0.15, at L = 1.9. Forward scattering counts less."""
+
+    def clear(*paths):
+        return translucency(np.array(paths) / SIZE / (1 - g), np.zeros(3), g, SIZE).clear
+
+    assert clear(2.99, 2.99, 2.99)
+    assert not clear(3.0, 3.0, 3.0)
+    assert clear(1.89, 50.0, 50.0)
+    assert not clear(1.9, 50.0, 50.0)
+
+
+@pytest.mark.parametrize("paths", [5.01, 49.9])
+def test_sizes_that_remarks_name_have_no_remark(paths):
+    for material in materials().values():
+        scattering, absorption = np.array(material.sigma_s_reduced), np.array(material.sigma_a)
+        size = paths / (scattering + absorption).min()
+        light = translucency(scattering, absorption, 0.0, size)
+        assert not light.scatters or remark(light, 1.0) == "", material.name
+
+
 SCENE = """[object]
 mesh = "ball.ply"
 unit = "cm"
@@ -90,10 +112,16 @@ def remarks(folder, *replaced):
 def test_check_remarks_on_opaque_and_clear_objects(folder):
     assert remarks(folder) == []
     (opaque,) = remarks(folder, ("5.0", "5000.0"))
-    assert "it will look opaque: the mean free path is 0.002 mm in an object of 20 mm, at least 10,000" in opaque
-    assert "an object of some 5 to 50 transport mean free paths: lower sigma_t" in opaque
+    assert "it will look opaque: the transport mean free path is 0.002 mm in an object of 20 mm, and less" in opaque
+    assert "an object of some 5 to 50 transport mean free paths: here a longest side of 0.01 to 0.1 mm, or" in opaque
+    assert opaque.endswith("or 0.0005 to 0.005 times the sigma_t (of a material, density)")
     (clear,) = remarks(folder, ("5.0", "0.2"))
-    assert "it is almost clear: the mean free path is 50 mm in an object of 20 mm" in clear
+    assert "it is almost clear: the transport mean free path is 50 mm in an object of 20 mm, and 67 % of" in clear
+    assert clear.endswith(
+        "here a longest side of 250 to 2,500 mm, or 12 to 120 times the sigma_t (of a material, density)"
+    )
+    (absorbing,) = remarks(folder, ("5.0", "0.2"), ("0.9", "0.3"))
+    assert "it absorbs more than it scatters, so no size or density looks translucent: raise albedo" in absorbing
     (unknown,) = remarks(folder, ("5.0", "5000.0"), ('unit = "cm"', ""))
     assert "0.0002 scene units in an object of 2 scene units" in unknown
     seed = '[[inside]]\nname = "seed"\nmesh = "ball.ply"\nsurface = "diffuse"\nreflectance = 0.5\n'
@@ -101,8 +129,8 @@ def test_check_remarks_on_opaque_and_clear_objects(folder):
 
 
 def test_check_remarks_on_a_mesh_that_only_scenes_turn(folder):
-    (remark,) = remarks(folder, ("ball", "inverted"))
-    assert "inverted.ply: the faces are wound inside out; flip the normals (the scene is rendered as if" in remark
+    (sentence,) = remarks(folder, ("ball", "inverted"))
+    assert "inverted.ply: the faces are wound inside out; flip the normals (the scene is rendered as if" in sentence
 
 
 def test_info_has_the_mean_free_paths_beside_the_size(folder):

@@ -80,6 +80,7 @@ def make(
     from prt_bake.cli.making.page import results, write_page
     from prt_bake.cli.making.record import ASSET, Record, all_names, only_run, refuse_foreign
     from prt_bake.cli.making.steps import Steps, figures
+    from prt_bake.inspection.scene import appearance_remark
 
     scene.stat()  # a file that is not there is reported before any folder is made
     refuse_other_kinds({"SCENE": (scene, ("scene", "mesh")), "--light": (light, LIGHT)})
@@ -92,6 +93,8 @@ def make(
                 refuse_foreign(folder)
             write_draft(draft)
         read = _read(path)
+        if remark := appearance_remark(read):
+            say(f"remark: {path}: {remark}")
         settings = {"scene": path.name, "scene_hash": read.content_hash}
         options = ["--tone-map", tone_map, *(["--exposure", f"{exposure:g}"] if exposure else [])]
         options += ["--view", side] if side else []

@@ -55,7 +55,7 @@ def init(
 
     Without --size a glTF mesh is in metres, and any other is taken to be 10 cm long.
     """
-    from prt_bake.inspection.translucency import translucent_size
+    from prt_bake.inspection.translucency import remark, translucent_size
 
     path = output or Path(f"{mesh.stem}.toml")
     mesh.stat()  # a file that is not there is reported first
@@ -64,18 +64,23 @@ def init(
     if path.exists() and not force:
         raise StorageError(f"{path}: already exists; add --force to replace it, or choose another name with -o")
     draft = draft_scene(mesh, material, size, path, up)
+    write_draft(draft)
     if size is None and draft.light.opaque:
         better = translucent_size(draft.light)
-        write_draft(draft, better)
+        say(
+            f"remark: {draft.material.name} of this size looks opaque, like stone; {better} looks translucent: "
+            f"--size {better}"
+        )
         others = (*(() if output is None else ("-o", output)), *(() if up == "y" else ("--up", up)))
         say_next("prtbake", "init", mesh, "--material", material, "--size", better, *others, "--force")
     else:
-        write_draft(draft)
+        if appearance := remark(draft.light, 1.0):
+            say(f"remark: {appearance}")
         say_next("prtbake", "make", path, "-o", unused(path.with_suffix("")))
 
 
-def write_draft(draft: "SceneDraft", better: str | None = None) -> None:
-    """Write the scene of a mesh, and print what was chosen; `better` is a size that does not look opaque."""
+def write_draft(draft: "SceneDraft") -> None:
+    """Write the scene of a mesh, and print what was chosen."""
     from formats.atomic import replacing
     from prt_bake.inspection import translucency
 
@@ -83,13 +88,6 @@ def write_draft(draft: "SceneDraft", better: str | None = None) -> None:
         part.write_text(draft.text(), encoding="utf-8")
     if not draft.material.measured:
         say(f"{draft.material.name} is {draft.material.source}")
-    if better is not None:
-        say(
-            f"remark: {draft.material.name} of this size looks opaque, like stone; {better} looks translucent: "
-            f"--size {better}"
-        )
-    elif remark := translucency.remark(draft.light, 1.0):
-        say(f"remark: {remark}")
     paths = draft.light.size / draft.light.transport
     least, most = translucency.digits(paths.min()), translucency.digits(paths.max())
     print(

@@ -64,3 +64,23 @@ def test_a_mesh_is_checked_before_anything_is_written(kitchen):
     assert not Path("new").exists()
     assert "such as --size 6cm (--size 2000mm keeps it)" in str(error.value)
     assert len(kitchen.run("ball.glb", "-o", "new", "--material", "jade", "--size", "2000mm")) == 4
+
+
+def test_clear_and_opaque_objects_get_a_remark_in_every_form(kitchen, capsys):
+    """With the size of a mesh, without it, and as a scene. Without a size nobody has asked for an opaque object."""
+    ball = trimesh.load("ball.obj")
+    ball.apply_scale(0.002)
+    ball.export("tiny.glb")  # 4 mm
+    for number, mesh in enumerate((["ball.obj", "--size", "4mm"], ["tiny.glb"])):
+        kitchen.run(mesh[0], "-o", f"clear{number}", "--material", "jade", *mesh[1:])
+        scene = f"clear{number}/{mesh[0][:4]}.toml"
+        said = capsys.readouterr().err
+        remark = f"remark: {scene}: it is almost clear: the transport mean free path is 3.03, 2.25, 3.08 mm in an obj"
+        assert said.count(remark) == 1
+        assert "here a longest side of 15 to 150 mm, or 3.8 to 38 times the sigma_t (of a material, density)" in said
+        kitchen.run(scene, "-o", f"again{number}")
+        assert remark in capsys.readouterr().err
+    kitchen.run("ball.obj", "-o", "stone", "--material", "jade", "--size", "9m")
+    assert capsys.readouterr().err.count("stone/ball.toml: it will look opaque") == 1
+    kitchen.run("wax.toml", "-o", "out")
+    assert "remark" not in capsys.readouterr().err
