@@ -18,7 +18,7 @@ _CLEAR = 0.05
 """Share of white light that crosses the longest side straight, above which an object looks almost clear.
 
 The limit is three transport mean free paths in grey media. Of the light that leaves a smooth ball of index 1.4 and that
-size, 7 % has not scattered; of a cow with thin legs and ears, 26 % (at five mean free paths 1 and 14 %).
+size, 7 % has not scattered; of a cow with thin legs, 27 % (at five mean free paths 1 and 15 %).
 """
 _SCATTERS = 0.5
 """Reduced albedo below which light is absorbed before it spreads, in an object of any size."""
