@@ -167,6 +167,7 @@ def bake(
         "lobes": lobes,
     }
     if dry_run:
+        say("predicts the bake from pilots and some of its blocks, which takes minutes on a large mesh")
         with reporting("plan", "pilot on a few vertices"):
             plan = baking.plan(transport, surface, *sampling, seed, error=error, minutes=minutes, **shared)
         print("\n".join(plan_lines(plan)) if sys.stdout.isatty() else as_text(plan.as_json()))

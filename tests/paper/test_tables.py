@@ -118,8 +118,8 @@ def test_unknown_figures_are_dashes() -> None:
     page = markdown([bare, result("lucy")], SETTINGS)
     assert not re.search(r"\bnan\b", page)
     assert "A dash is a figure that is unknown" in page
-    row = Trained(1.0, 1000, math.nan, 0.2, 0.2, math.nan)
-    assert "a_lm –, picture –, FLIP 0.2000" in summary("dragon, outdoor", [row, row])
+    rows = [Trained(minutes, 1000, math.nan, 0.2, 0.2, math.nan) for minutes in (1.0, 2.0)]
+    assert "a_lm –, picture –, FLIP 0.2000" in summary("dragon, outdoor", rows)
 
 
 def test_the_second_table_has_the_scenes_and_skies_of_the_paper() -> None:
