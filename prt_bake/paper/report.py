@@ -156,7 +156,12 @@ def sky_files(names: Sequence[str], folder: Path) -> dict[str, Path]:
     for name in names or tuple(SKIES):
         path = folder / SKIES[name] if name in SKIES else Path(name)
         if not path.is_file():
-            raise StorageError(f"{path}: there is no such sky; expected {', '.join(SKIES)} or a lat-long .hdr or .exr")
+            expected = (
+                "expected the skies of the paper's scenes there: give their folder by --scenes, or another --sky"
+                if name in SKIES
+                else f"expected {', '.join(SKIES)} or a lat-long .hdr or .exr"
+            )
+            raise StorageError(f"{path}: there is no such sky; {expected}")
         title = name if name in SKIES else path.stem
         if title in skies:
             raise QueryError(f"--sky: expected skies of different names, found two of {title}; rename one, or omit it")

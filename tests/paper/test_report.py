@@ -275,6 +275,7 @@ def test_the_command_refuses_unknown_scenes_and_skies(prtbake: Run) -> None:
         (["--scene", "teapot"], "'teapot' is not a scene of the paper"),
         (["--sky", "nowhere.hdr"], "nowhere.hdr: there is no such sky"),
         (["--sky", "broken.hdr"], "broken.hdr: is not Radiance"),
+        (["--scenes", "."], "skies/outdoor.hdr: there is no such sky; expected the skies of the paper's scenes there"),
         (["--scenes", "nowhere"], "nowhere: there is no such folder; the paper's scenes are in the folder scenes of"),
     ):
         outcome = prtbake("report", "paper", "--out", "new", *arguments)
