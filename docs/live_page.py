@@ -13,6 +13,7 @@ from pathlib import Path
 from sphinx.application import Sphinx
 
 from formats.errors import StorageError
+from formats.json_report import as_text
 from prt_bake.export.site import export_site
 
 DOCS = Path(__file__).resolve().parent
@@ -66,7 +67,7 @@ def _show_faces(site: Path, turned: set[str]) -> None:
     for entry in described["objects"]:
         if entry["name"] in turned:
             entry["from"] = BACK
-    site.write_text(json.dumps(described, indent=1) + "\n", encoding="utf-8")
+    site.write_text(as_text(described) + "\n", encoding="utf-8")
 
 
 def marked() -> list[str]:

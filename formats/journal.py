@@ -70,7 +70,7 @@ class Journal:
         """
         self._output = Path(output)
         self.folder = journal_folder(output)
-        self._identity = json.loads(json.dumps(dict(identity)))
+        self._identity = json.loads(json.dumps(dict(identity), allow_nan=False))
         refuse_unwritable(self._output)
         self._refuse_foreign()
         self._lock, self._only = Lock(), self._locked()
@@ -135,7 +135,7 @@ class Journal:
         with self._lock:
             if not (self.folder / _IDENTITY).is_file():
                 with replacing(self.folder / _IDENTITY) as part:
-                    part.write_text(json.dumps(self._identity, indent=1), encoding="utf-8")
+                    part.write_text(json.dumps(self._identity, indent=1, allow_nan=False), encoding="utf-8")
 
     def _empty(self) -> None:
         """Remove every file of this class, the identity first.

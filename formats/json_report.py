@@ -1,4 +1,4 @@
-"""Reports as JSON: lists of numbers on one line, numbers that are not finite as null."""
+"""Reports as JSON. JSON has no NaN: a number that is not finite, such as an unknown figure, becomes null."""
 
 import json
 import math
@@ -14,7 +14,12 @@ _NUMBERS = re.compile(r"\[\n[^\[\]{}\"]*\]")
 
 def as_text(report: dict[str, Any]) -> str:
     """The report as indented JSON, each list of numbers on one line. Numbers that are not finite become null."""
-    return _NUMBERS.sub(_on_one_line, json.dumps(_finite(report), indent=2, allow_nan=False))
+    return _NUMBERS.sub(_on_one_line, json.dumps(finite(report), indent=2, allow_nan=False))
+
+
+def as_line(value: Any) -> str:
+    """The value as JSON in one line. Numbers that are not finite become null."""
+    return json.dumps(finite(value), allow_nan=False)
 
 
 def write_report(report: dict[str, Any], path: str | Path) -> None:
@@ -23,13 +28,14 @@ def write_report(report: dict[str, Any], path: str | Path) -> None:
         part.write_text(as_text(report) + "\n", encoding="utf-8")
 
 
+def finite(value: Any) -> Any:
+    """The value with lists in place of tuples, and None in place of every number that is not finite."""
+    if isinstance(value, dict):
+        return {name: finite(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def _on_one_line(found: re.Match[str]) -> str:
     return "[" + " ".join(found.group()[1:-1].split()) + "]"
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _finite(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -43,7 +43,7 @@ def write_head(file: Any, head: AssetHead) -> None:
         unit=head.unit,
         colour="linear, Rec.709 primaries, RGB",
         complete=np.uint8(0),
-        left_out=json.dumps(head.left_out),
+        left_out=json.dumps(head.left_out, allow_nan=False),
     )
     if head.network_error is not None:
         file.attrs[NETWORK_ERROR] = np.array(head.network_error, "<f8")

@@ -188,5 +188,6 @@ def _suffix(path: str | os.PathLike[str], verb: str, known: tuple[str, ...]) -> 
     suffix = Path(path).suffix.lower()
     if suffix not in known:
         kinds = f"{', '.join(known[:-1])} or {known[-1]}"
-        raise ImageError(f"{path}: the image cannot be {verb}; expected {kinds}, found '{suffix}'")
+        found = "a folder" if Path(path).is_dir() else f"'{suffix}'"
+        raise ImageError(f"{path}: the image cannot be {verb}; expected {kinds}, found {found}")
     return suffix

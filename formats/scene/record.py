@@ -154,8 +154,8 @@ def _hashed_content(part: Part) -> bytes:
     arrays += [] if part.diffuse is None else [part.diffuse]
     arrays += [part.roughness] if isinstance(part.roughness, np.ndarray) else []
     arrays += [part.mesh.corner_uv] if textured else []
-    pieces = [json.dumps(values).encode()]
+    pieces = [json.dumps(values, allow_nan=False).encode()]
     for each in arrays:
         array = np.zeros(0) if each is None else np.asarray(each, "<f8")
-        pieces += [json.dumps(array.shape).encode(), np.ascontiguousarray(array).tobytes()]
+        pieces += [json.dumps(array.shape, allow_nan=False).encode(), np.ascontiguousarray(array).tobytes()]
     return b"".join(pieces)

@@ -1,6 +1,5 @@
 """`prtbake bake`: bakes a model or a scene into an asset."""
 
-import json
 import math
 import os
 import sys
@@ -137,7 +136,7 @@ def bake(
     refuse_other_kinds({"SOURCE": (source, SOURCE), "MESH": (mesh, ("mesh",)), "--for-light": (for_light, ("sky",))})
     from bakers.transport import transport_property
     from formats.journal import journal_folder
-    from formats.json_report import write_report
+    from formats.json_report import as_text, write_report
     from formats.mesh import read_mesh
     from prt_bake.baking import bake as baking
     from prt_bake.baking.report.summary import bake_report
@@ -168,9 +167,10 @@ def bake(
         "lobes": lobes,
     }
     if dry_run:
+        say("predicts the bake from pilots and some of its blocks, which takes minutes on a large mesh")
         with reporting("plan", "pilot on a few vertices"):
             plan = baking.plan(transport, surface, *sampling, seed, error=error, minutes=minutes, **shared)
-        print("\n".join(plan_lines(plan)) if sys.stdout.isatty() else json.dumps(plan.as_json(), indent=2))
+        print("\n".join(plan_lines(plan)) if sys.stdout.isatty() else as_text(plan.as_json()))
         return
     assert output is not None
     bins, terms = 1 if for_eye else rings * sectors, 1 if for_light else (degree + 1) ** 2

@@ -21,6 +21,12 @@ if TYPE_CHECKING:
     from prt_bake.comparison.noise_free import NoiseFree
 
 _MAPS = (".png", ".exr")
+_UNKNOWN = {
+    "ssim": "unknown: it needs pictures of at least 11x11 pixels",
+    "ssim_quarter": "unknown: it needs pictures of at least 44x44 pixels, and blocks of 4x4 mostly within the mask",
+    "relative_rmse": "unknown: the reference is black",
+}
+"""Why a figure is NaN."""
 
 
 def _read_range(text: str | tuple[float, float]) -> tuple[float, float]:
@@ -276,6 +282,8 @@ def _lines(figures: dict[str, Any]) -> Iterator[str]:
     for name, value in figures.items():
         if name == "hdr_exposures":
             yield f"{name:<13} {value['start']:.3g} to {value['stop']:.3g} EV, {value['steps']} exposures"
+        elif name in _UNKNOWN and math.isnan(value):
+            yield f"{name:<13} {_UNKNOWN[name]}"
         elif isinstance(value, float) and name != "exposure":
             yield f"{name:<13} {value:<12.6g}{_interval(noise_free.get(name))}".rstrip()
 

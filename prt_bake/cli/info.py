@@ -1,6 +1,5 @@
 """`prtbake info`: prints the contents of a file."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,12 +22,13 @@ def info(
     as_json: AsJson = False,
 ) -> None:
     """Print what a file is, its object, its size and its error."""
+    from formats.json_report import as_text
     from prt_bake.inspection.files import describe
     from prt_bake.inspection.overview import overview
 
     description = describe(file)
     if as_json:
-        print(json.dumps(description, indent=2))
+        print(as_text(description))
         return
     lines = dict(_lines(description)) if all_figures else overview(description)
     width = max(map(len, lines))

@@ -1,6 +1,5 @@
 """`prtbake light`: projects an environment on spherical harmonics."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -34,6 +33,7 @@ def light(
     coefficients; `prtbake shade` splits them off.
     """
     refuse_other_kinds({"ENVIRONMENT": (environment, LIGHT)})
+    from formats.json_report import as_text
     from prt_bake.lights.harmonics import project_lighting
     from prt_bake.lights.lighting import read_lighting
     from prt_bake.lights.sun_detection import split_suns
@@ -54,7 +54,7 @@ def light(
             for sun, share in found
         ]
         result = {"up": axis, "degree": degree, "rotate": rotate, "coefficients": coefficients.tolist(), "suns": suns}
-        print(json.dumps(result, indent=2))
+        print(as_text(result))
         return
     print(f"{'l':>2} {'m':>3} {'R':>14} {'G':>14} {'B':>14}")
     bands = [(l, m) for l in range(degree + 1) for m in range(-l, l + 1)]

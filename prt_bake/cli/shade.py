@@ -1,6 +1,5 @@
 """`prtbake shade`: relights a baked asset and writes the picture."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -212,6 +211,7 @@ def _write_picture(
     output: Path, baked: Any, lighting: Any, view: Any, options: dict[str, Any], exposure: float, tone_map: str
 ) -> Any:
     from formats.image import write_image
+    from formats.json_report import as_line
     from prt_bake.shading.picture import render_picture
     from prt_bake.shading.tone_map import agx
 
@@ -226,7 +226,7 @@ def _write_picture(
         attributes={
             "prtbake.shows": _shows(picture),
             "prtbake.error": "projection",
-            "prtbake.picture_error": json.dumps(picture.errors and picture.errors.as_json()),
+            "prtbake.picture_error": as_line(picture.errors and picture.errors.as_json()),
         },
         alpha=alpha,
     )

@@ -18,6 +18,7 @@ from formats.asset import read_asset
 from formats.atomic import create_folder, existing, storage_error
 from formats.errors import FormatError, QueryError, StorageError
 from formats.image import write_image
+from formats.json_report import as_text
 from formats.mesh import Mesh
 from formats.version import program_version
 from prt_bake.export.light_pictures import light_picture
@@ -113,7 +114,7 @@ def site_files(
     entries = [_add_light(files, light, shown, mend, say) for light in chosen]
     description = {"generator": f"prtbake {program_version()}", "objects": objects, "lights": entries}
     listed = {"files": sorted({PurePosixPath(name).parts[0] for name in [*files, "site.json"]})}
-    files["site.json"] = (json.dumps(description | listed, indent=1) + "\n").encode()
+    files["site.json"] = (as_text(description | listed) + "\n").encode()
     return files
 
 

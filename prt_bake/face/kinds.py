@@ -252,7 +252,7 @@ def dictionary(name: str, value: Any) -> Any:
 def json_entries(name: str, value: Any) -> Any:
     """Entries by name, of the types that JSON has."""
     try:
-        json.dumps(dictionary(name, value))
+        json.dumps(dictionary(name, value), allow_nan=False)
     except (TypeError, ValueError) as fault:
         raise QueryError(
             f"{name}: expected texts, numbers, lists and dictionaries of Python, as JSON has them ({fault})"

@@ -18,6 +18,7 @@ from torch import Tensor, nn
 
 from formats.atomic import existing, sha256
 from formats.errors import ModelError
+from formats.json_report import as_line
 from prt_bake.importance.settings import IMPORTANCE_PRESETS, ImportanceSettings
 from prt_bake.mathematics.lobe import Lobe
 from prt_bake.network.checkpoint import check_tensors, read_checkpoint, write_checkpoint
@@ -179,7 +180,7 @@ def save_importance(module: ImportanceModule, model_path: str | Path) -> None:
     }
     tensors = {name: tensor.detach().half().cpu().contiguous() for name, tensor in module.state_dict().items()}
     check_tensors(tensors, module.settings.tensor_shapes(), path)
-    write_checkpoint(path, json.dumps(head), tensors)
+    write_checkpoint(path, as_line(head), tensors)
 
 
 def load_importance(model_path: str | Path, device: str = "cpu") -> ImportanceModule:

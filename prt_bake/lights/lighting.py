@@ -5,7 +5,6 @@ A directional light of irradiance E and angular diameter a has the radiance E / 
 """
 
 import hashlib
-import json
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from formats.arguments import described, numbers
 from formats.errors import LightError, QueryError, refuse_path, warn
 from formats.image import READABLE
+from formats.json_report import as_line
 from formats.mesh import Mesh
 from formats.scene.file import errors_at
 from formats.scene.lights import (
@@ -123,12 +123,12 @@ class Lighting:
         """SHA-256 of all lights."""
         digest = hashlib.sha256()
         for sky in self.skies:
-            digest.update(json.dumps([sky.image.shape, sky.up, sky.turn.tolist()]).encode())
+            digest.update(as_line([sky.image.shape, sky.up, sky.turn.tolist()]).encode())
             digest.update(np.ascontiguousarray(sky.image, "<f4").tobytes())
             digest.update(b"" if sky.residual is None else np.ascontiguousarray(sky.residual, "<f8").tobytes())
         for sun in self.suns:
             numbers = [sun.direction.tolist(), sun.irradiance.tolist(), sun.angular_diameter]
-            digest.update(json.dumps(numbers).encode())
+            digest.update(as_line(numbers).encode())
         return digest.hexdigest()
 
     __repr__ = summary

@@ -5,6 +5,7 @@ has the expectation (f − t)² for any distribution of the estimates, t being t
 positions (clusters) are independent of one another, so a bootstrap over clusters gives intervals.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,6 +35,12 @@ class Interval:
     def as_json(self) -> dict[str, float]:
         """As plain values."""
         return {"value": self.value, "low": self.low, "high": self.high}
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, float | None]) -> "Interval":
+        """Read what `as_json` returns, in which JSON has null in place of NaN."""
+        value, low, high = (np.nan if (part := values[name]) is None else part for name in ("value", "low", "high"))
+        return cls(value, low, high)
 
     def within(self, bound: float) -> str:
         """Whether |truth| is at most `bound`: "met", "not met", or "undecided" if the interval contains both cases."""

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from formats.errors import ModelError, refuse_path
+from formats.json_report import as_line
 from formats.json_values import (
     ERROR_INTERVAL,
     ERROR_OR_UNKNOWN,
@@ -140,7 +141,7 @@ def save_model(network: Model, path: str | Path) -> None:
     check_tensors(floats, _shapes(floats), path)
     small = {name: _smallest(tensor) for name, tensor in floats.items()}
     head = {"format": FORMAT, "format_version": FORMAT_VERSION, **head}
-    write_checkpoint(path, json.dumps(head), {**tensors, **small})
+    write_checkpoint(path, as_line(head), {**tensors, **small})
 
 
 def _smallest(tensor: Tensor) -> Tensor:

@@ -1,7 +1,8 @@
 """A folder of files, each recorded with its inputs, so that a file is built once and rebuilt only if they change.
 
 NAME.made.json beside NAME holds the inputs, the facts that the builder returned (seconds, walks, …) and the file's
-hash. A file without a record, with other inputs or with another hash is rebuilt.
+hash. A file without a record, with other inputs or with another hash is rebuilt. Facts that are NaN, such as unknown
+figures, are null in the record and None in the artefact.
 """
 
 import json
@@ -13,6 +14,7 @@ from typing import Any
 
 from formats.atomic import create_folder, replacing, sha256
 from formats.errors import PrtbakeError
+from formats.json_report import as_line, write_report
 
 Facts = dict[str, Any]
 Say = Callable[[str], None]
@@ -69,8 +71,7 @@ class Artefacts:
         path = self.folder / name
         artefact = Artefact(path, sha256(path), _plain(facts))
         record = {"inputs": inputs, "facts": facts, "sha256": artefact.sha256}
-        with replacing(_record_path(path)) as part:
-            part.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+        write_report(record, _record_path(path))
         return artefact
 
     def check(self) -> None:
@@ -85,7 +86,8 @@ class Artefacts:
 
     def _record(self, name: str) -> dict[str, Any] | None:
         try:
-            record = json.loads(_record_path(self.folder / name).read_text(encoding="utf-8"))
+            text = _record_path(self.folder / name).read_text(encoding="utf-8")
+            record = json.loads(text, parse_constant=lambda _nan: None)
             return record if {"inputs", "facts", "sha256"} <= set(record) else None
         except (OSError, ValueError, TypeError):
             return None
@@ -105,8 +107,8 @@ def _record_path(path: Path) -> Path:
 
 
 def _plain(values: Facts) -> Facts:
-    """Return the values as JSON stores them: tuples become lists."""
-    plain: Facts = json.loads(json.dumps(values))
+    """Return the values as JSON stores them: tuples become lists, NaN becomes None."""
+    plain: Facts = json.loads(as_line(values))
     return plain
 
 

@@ -1,12 +1,16 @@
 """The paper's ablation: MSE by number of hidden layers, with and without skips, relative to 7 layers with skips."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
+from formats.errors import QueryError
 from formats.scene import Scene
 from prt_bake.network.bssrdf import PRESETS, NetworkSettings
 from prt_bake.paper.artefacts import Artefacts
 from prt_bake.paper.models import train_once
+from prt_bake.paper.results import as_number
+from prt_bake.tracer.prepared import smooth_part
 
 LAYERS = (3, 4, 5, 6, 7)
 _STANDARD = "7"
@@ -52,11 +56,21 @@ def ablation(
             progress(label, share, text)
 
         model = train_once(artefacts, file, scene, minutes, device, report, settings)
-        errors[network] = float(model.facts["relative_rmse"]["transport"]) ** 2
+        errors[network] = as_number(model.facts["relative_rmse"]["transport"]) ** 2
     return relative(errors)
 
 
+def refuse_without_values(scene: Scene) -> None:
+    """Raise QueryError for a scene in which Ŝ has no values to compare."""
+    smooth = smooth_part(scene)
+    if smooth is not None:
+        raise QueryError(
+            f"{scene.path}: --layers compares errors of Ŝ, which has no values behind the smooth interface of "
+            f"'{smooth.name}'; choose another --scene"
+        )
+
+
 def relative(errors: dict[str, float]) -> dict[str, float]:
-    """Return the errors relative to 7 layers with skips; nan if that error is 0."""
+    """Return the errors relative to 7 layers with skips; nan for unknown ones, and if that error is 0."""
     standard = errors[_STANDARD]
-    return {network: error / standard if standard > 0.0 else float("nan") for network, error in errors.items()}
+    return {network: error / standard if standard > 0.0 else math.nan for network, error in errors.items()}

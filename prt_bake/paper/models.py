@@ -81,7 +81,7 @@ def train_once(
 
     def build(path: Path) -> Facts:
         started = path.with_suffix(".started.json")
-        identity = json.dumps(inputs, sort_keys=True)
+        identity = json.dumps(inputs, sort_keys=True, allow_nan=False)
         same_inputs = path.is_file() and started.is_file() and started.read_text(encoding="utf-8") == identity
         with replacing(started) as part:
             part.write_text(identity, encoding="utf-8")

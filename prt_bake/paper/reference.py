@@ -14,6 +14,7 @@ import numpy as np
 
 from formats.atomic import replacing
 from formats.image import read_layers, write_image
+from formats.json_report import as_line
 from formats.npz import read_arrays
 from formats.scene import Scene
 from prt_bake.comparison.object_figures import TracedPicture
@@ -57,7 +58,7 @@ def reference(
     better reference than requested is used as it is. Raises Stopped; all finished renderings are kept.
     """
     inputs = {**inputs, "method": _METHOD}
-    identity = hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
+    identity = hashlib.sha256(json.dumps(inputs, sort_keys=True, allow_nan=False).encode()).hexdigest()
     path = artefacts.folder / name
     sums_path = path.with_suffix(".sums.npz")
     halves = _read(sums_path, identity) or HalfBuffers.empty(size)
@@ -142,7 +143,7 @@ def _write(path: Path, halves: HalfBuffers, identity: str) -> None:
     with replacing(path) as part, open(part, "wb") as file:
         np.savez(
             file,
-            head=np.array(json.dumps({"identity": identity, "numbers": numbers})),
+            head=np.array(as_line({"identity": identity, "numbers": numbers})),
             radiance=halves.radiance,
             variance=halves.variance,
             coverage=halves.coverage,

@@ -16,7 +16,7 @@ from prt_bake.paper.artefacts import Artefacts, write_text
 from prt_bake.paper.baselines.contenders import Comparison
 from prt_bake.paper.baselines.report import FILES as BASELINE_FILES
 from prt_bake.paper.baselines.report import BaselineReport
-from prt_bake.paper.layers import ablation
+from prt_bake.paper.layers import ablation, refuse_without_values
 from prt_bake.paper.plots import plot_layers, plot_times, plot_training
 from prt_bake.paper.results import METHODS, TITLES, Result
 from prt_bake.paper.scene_report import Progress, SceneReport
@@ -68,12 +68,16 @@ class PaperReport:
                 on_result(result)
 
     def run_layers(self, scenes: Sequence[PaperScene]) -> dict[str, dict[str, float]]:
-        """Run the depth ablation of each scene; writes layers.png and layers.json. Raises Stopped."""
-        errors = {}
-        for paper in scenes:
-            scene = open_scene(paper, self._folder)
+        """Run the depth ablation of each scene; writes layers.png and layers.json.
+
+        Raises Stopped, and QueryError for a scene in which Ŝ has no values.
+        """
+        errors, opened = {}, {paper.name: open_scene(paper, self._folder) for paper in scenes}
+        for scene in opened.values():
+            refuse_without_values(scene)
+        for name, scene in opened.items():
             minutes, device = self.settings.train_minutes, self.settings.device
-            errors[paper.name] = ablation(self.artefacts, paper.name, scene, minutes, device, self._progress)
+            errors[name] = ablation(self.artefacts, name, scene, minutes, device, self._progress)
             plot_layers(errors, self.artefacts.folder / "layers.png")
             write_text(self.artefacts.folder / "layers.json", as_text({"minutes": minutes, "relative_mse": errors}))
         return errors
@@ -152,7 +156,12 @@ def sky_files(names: Sequence[str], folder: Path) -> dict[str, Path]:
     for name in names or tuple(SKIES):
         path = folder / SKIES[name] if name in SKIES else Path(name)
         if not path.is_file():
-            raise StorageError(f"{path}: there is no such sky; expected {', '.join(SKIES)} or a lat-long .hdr or .exr")
+            expected = (
+                "expected the skies of the paper's scenes there: give their folder by --scenes, or another --sky"
+                if name in SKIES
+                else f"expected {', '.join(SKIES)} or a lat-long .hdr or .exr"
+            )
+            raise StorageError(f"{path}: there is no such sky; {expected}")
         title = name if name in SKIES else path.stem
         if title in skies:
             raise QueryError(f"--sky: expected skies of different names, found two of {title}; rename one, or omit it")

@@ -1,5 +1,6 @@
 """The figures of one scene under one sky, as records that are written as JSON and tables."""
 
+import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -30,7 +31,7 @@ class Line:
         megabytes: size of the files that the rendering needs.
         alone: figures of subsurface light alone: mse, ssim, ssim_quarter, flip, flip_without_noise (estimated against
             a noise-free reference) and error (relative RMSE without the noise of both pictures). SH also has
-            flip_to_net, its FLIP against Net with the primary sampling.
+            flip_to_net, its FLIP against Net with the primary sampling. None for a figure that is unknown.
         whole: the first four figures with reflection and background in both pictures, if measured.
     """
 
@@ -38,8 +39,8 @@ class Line:
     spp: int
     seconds: float
     megabytes: float
-    alone: dict[str, float]
-    whole: dict[str, float] | None = None
+    alone: dict[str, float | None]
+    whole: dict[str, float | None] | None = None
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class Result:
         framing: object_share, object_pixels.
         stops: the exposure.
         reference: spp, seconds, walks.
-        noise: figures of an exact picture with the reference's noise.
+        noise: figures of an exact picture with the reference's noise; None for one that is unknown.
         lines: the pictures by method.
         model, asset: figures of the training and of the bake.
     """
@@ -65,7 +66,7 @@ class Result:
     framing: dict[str, Any]
     stops: float
     reference: dict[str, Any]
-    noise: dict[str, float]
+    noise: dict[str, float | None]
     lines: tuple[Line, ...]
     model: dict[str, Any] = field(default_factory=dict)
     asset: dict[str, Any] = field(default_factory=dict)
@@ -108,14 +109,22 @@ def paper_json(scene: PaperScene) -> dict[str, Any]:
 def mean_flip(
     results: list[Result], sky: str, method: str, part: str = "alone", figure: str = "flip"
 ) -> tuple[float, int]:
-    """Return the mean of a figure over the scenes with this sky and method (nan for none), and their number."""
+    """Return the mean of a figure over the scenes with this sky and method, and their number.
+
+    The mean is nan for no scene, and if the figure of one is unknown.
+    """
     values = []
     for result in results:
         line = result.line(method) if result.sky == sky else None
         figures = None if line is None else getattr(line, part)
         if figures is not None:
-            values.append(figures[figure])
-    return (sum(values) / len(values) if values else float("nan")), len(values)
+            values.append(as_number(figures[figure]))
+    return (sum(values) / len(values) if values else math.nan), len(values)
+
+
+def as_number(figure: float | None) -> float:
+    """Return a figure of a record, nan if it is unknown."""
+    return math.nan if figure is None else float(figure)
 
 
 def as_json(results: list[Result], settings: dict[str, Any]) -> dict[str, Any]:

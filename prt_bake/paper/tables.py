@@ -32,7 +32,10 @@ pictures: the error that remains however long one renders.
 
 *complete* adds reflection, sky and unscattered light to both pictures, with independent random numbers. Seconds are
 rendering times, on {cores} CPU cores here and on a GPU in the paper. MB is the size of the model, with *lobe* and *mis*
-also of the importance module, and for SH of the asset. The paper has one row for Net, repeated beside each of ours."""
+also of the importance module, and for SH of the asset. The paper has one row for Net, repeated beside each of ours.
+
+A dash is a figure that is unknown. SSIM needs pictures of at least 11² pixels, at quarter size of 44². *error* needs a
+reference that is more than noise."""
 
 _COLUMNS = (
     "Scene",
@@ -74,7 +77,7 @@ def first_table(results: Iterable[Result]) -> str:
         scene = paper_scene(result.scene)
         title = scene.title + (" (stand-in)" if result.stand_in else "")
         reference, noise = result.reference, result.noise
-        figures = [f"noise {_small(noise['mse'])}", f"noise {noise['ssim']:.4f}", f"noise {noise['flip']:.4f}"]
+        figures = [f"noise {_figure(metric, noise[metric])}" for metric in ("mse", "ssim", "flip")]
         cost = [str(reference["spp"]), _seconds(reference["seconds"]), ""]
         rows.append([title, "Path tracing", *cost, *figures, *[""] * 5, *_paper(scene.path_tracing)])
         rows += [
@@ -116,11 +119,11 @@ def means_table(results: list[Result], skies: Sequence[str]) -> str:
             target = f"≤ {BARS[kind]:.2f}" if method in (PRIMARY_SAMPLING, "sh") else ""
             reached = ("yes" if mean <= BARS[kind] else "no") if target and count == len(SCENES) else ""
             noiseless = mean_flip(results, sky, method, figure="flip_without_noise")[0]
-            complete = f"{whole:.4f}" if whole_count else ""
+            complete = shown(whole, ".4f") if whole_count else ""
             scenes = f"{count} of {len(SCENES)}"
-            row = [sky, TITLES[method], scenes, f"{mean:.4f}", target, reached]
+            row = [sky, TITLES[method], scenes, shown(mean, ".4f"), target, reached]
             error = mean_flip(results, sky, method, figure="error")[0]
-            row += [f"{noiseless:.4f}", f"{error:.1%}", complete, f"{PAPER_MEANS[kind]:.3f}"]
+            row += [shown(noiseless, ".4f"), shown(error, ".1%"), complete, f"{PAPER_MEANS[kind]:.3f}"]
             rows.append(row)
     columns = ("Sky", "Model", "Scenes", "mean FLIP", "target", "reached", "no noise", "error", "complete", "paper")
     return markdown_table(columns, rows)
@@ -170,34 +173,39 @@ def _training(model: dict[str, Any]) -> str:
 
 def _line(line: Line) -> list[str]:
     cost = [str(line.spp), _seconds(line.seconds), f"{line.megabytes:.2f}"]
-    noiseless = [f"{line.alone['flip_without_noise']:.4f}", f"{line.alone['error']:.1%}"]
+    noiseless = [shown(line.alone["flip_without_noise"], ".4f"), shown(line.alone["error"], ".1%")]
     return [*cost, *_figures(line.alone), *noiseless] + (_figures(line.whole) if line.whole else [""] * 3)
 
 
-def _figures(figures: dict[str, float]) -> list[str]:
+def _figures(figures: dict[str, float | None]) -> list[str]:
     return [_figure(metric, figures[metric]) for metric in ("mse", "ssim", "flip")]
 
 
-def _figure(metric: str, value: float) -> str:
-    return _small(value) if metric == "mse" else f"{value:.4f}"
+def _figure(metric: str, value: float | None) -> str:
+    return shown(value, ".1e" if metric == "mse" else ".4f")
 
 
 def _paper(row: PaperRow) -> list[str]:
     megabytes = "" if row.megabytes is None else f"{row.megabytes:g}"
     figures = [
-        "" if row.mse is None else _small(row.mse),
+        "" if row.mse is None else f"{row.mse:.1e}",
         "" if row.ssim is None else f"{row.ssim:.3f}",
         "" if row.flip is None else f"{row.flip:.3f}",
     ]
     return [str(row.spp), _seconds(row.seconds), megabytes, *figures]
 
 
-def _small(value: float) -> str:
-    return "nan" if math.isnan(value) else f"{value:.1e}"
-
-
 def _seconds(value: float) -> str:
     return f"{value:.1e}" if 0.0 < value < 0.01 else f"{value:.3g}" if value < 1000.0 else f"{value:.0f}"
+
+
+def shown(figure: float | None, form: str) -> str:
+    """Return a figure in a format, and a dash for an unknown one, which is None or nan.
+
+    >>> shown(0.125, ".1%"), shown(None, ".1%")
+    ('12.5%', '–')
+    """
+    return "–" if figure is None or math.isnan(figure) else f"{figure:{form}}"
 
 
 def markdown_table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

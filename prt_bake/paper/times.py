@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from prt_bake.paper.models import train_once
-from prt_bake.paper.results import BARS
+from prt_bake.paper.results import BARS, as_number
 from prt_bake.paper.scene_report import SceneReport
+from prt_bake.paper.tables import shown
 
 SHARES = (0.125, 0.25, 0.5, 1.0)
 """Relative to the full training time."""
@@ -25,7 +26,7 @@ class Trained:
 
     Attributes:
         minutes, walks: time and paths of the training.
-        coefficients: relative RMSE of a_lm on held-out queries.
+        coefficients: relative RMSE of a_lm on held-out queries; nan if noise hides it.
         flip, flip_without_noise, error: as in `prt_bake.paper.results.Line`.
     """
 
@@ -70,7 +71,7 @@ def trainings(
         file = f"{name}/times/{time:g}.pt"
         model = train_once(scene.artefacts, file, scene.scene, time, scene.settings.device, report)
         figures = scene.evaluate_model(sky, sky_path, model, f"{name}/times/{time:g}_{sky}")
-        coefficients = float(model.facts["relative_rmse"]["coefficients"])
+        coefficients = as_number(model.facts["relative_rmse"]["coefficients"])
         rows.append(Trained(time, int(model.facts["walks"]), coefficients, **figures))
     return rows
 
@@ -100,7 +101,8 @@ def summary(name: str, rows: Sequence[Trained]) -> str:
     """Return a line per training, and the extrapolation to the FLIP target."""
     law = power_law(rows, "flip_without_noise")
     lines = [
-        f"{name}: {row.minutes:g} minutes, {row.walks:,} paths: a_lm {row.coefficients:.1%}, picture {row.error:.1%}, "
+        f"{name}: {row.minutes:g} minutes, {row.walks:,} paths: a_lm {shown(row.coefficients, '.1%')}, "
+        f"picture {shown(row.error, '.1%')}, "
         f"FLIP {row.flip:.4f}, without noise {row.flip_without_noise:.4f}"
         for row in rows
     ]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from formats.atomic import replacing
 from formats.errors import FormatError
+from formats.json_report import as_line
 from formats.json_values import is_number
 from formats.npz import read_arrays
 
@@ -117,7 +118,7 @@ def checkpoint_path(output: str | Path) -> Path:
 def write_checkpoint(path: Path, sums: Sums, identity: dict[str, Any], limits: dict[str, Any]) -> None:
     """Write the sums, their identity and the requested limits atomically. Raises StorageError if writing fails."""
     numbers = {"passes": sums.passes, "walks": sums.walks, "seconds": sums.seconds, "history": sums.history}
-    head = np.array(json.dumps({"identity": identity, "numbers": numbers, "asked": limits}))
+    head = np.array(as_line({"identity": identity, "numbers": numbers, "asked": limits}))
     with replacing(path) as part, open(part, "wb") as file:
         np.savez(file, head=head, **{name: getattr(sums, name) for name in _ARRAYS})
 
@@ -162,7 +163,8 @@ def read_checkpoint(path: Path, identity: dict[str, Any]) -> Sums:
         head = json.loads(str(arrays["head"]))
         radiance, squares, coverage = (np.asarray(arrays[name], np.float64) for name in _ARRAYS)
         found, numbers = dict(head["identity"]), head["numbers"]
-        history = [(float(a), float(b), float(c)) for a, b, c in numbers["history"]]
+        # The noise after a single pass is infinite, which JSON does not hold.
+        history = [(float(a), float(b), np.inf if c is None else float(c)) for a, b, c in numbers["history"]]
         counts = int(numbers["passes"]), int(numbers["walks"]), float(numbers["seconds"])
         sums = Sums(radiance, squares, coverage, *counts, history)
     except (ValueError, KeyError, TypeError, OverflowError, AttributeError) as fault:
@@ -201,4 +203,4 @@ def _sum_faults(sums: Sums, size: Sequence[int]) -> Iterator[str]:
 def _difference(name: str, found: Any, expected: Any) -> str:
     if isinstance(found, str) and isinstance(expected, str) and len(expected) == 64:
         return f"the {name} differs"
-    return f"{name} is {json.dumps(found)} in the checkpoint, {json.dumps(expected)} now"
+    return f"{name} is {as_line(found)} in the checkpoint, {as_line(expected)} now"

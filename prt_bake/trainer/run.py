@@ -77,7 +77,7 @@ class Run:
             "begun": self.resume_settings,
             "output_scale": self.learner.network.output_scale,
             "learner": self.learner.state(),
-            "generator": json.dumps(self.generator.bit_generator.state),
+            "generator": json.dumps(self.generator.bit_generator.state, allow_nan=False),
             "source": self.source.state(),
             "seconds": self.seconds,
             **({} if self.budget is None else {"spent": self.budget.spent}),

@@ -1,6 +1,7 @@
 """`prtbake report bake`: convergence of the methods, their reported errors, and the error budget of a picture."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from formats.errors import QueryError
 from prt_bake.baking.report.bins import drawn_bins, fitted, relative
 from prt_bake.baking.report.budget import error_budget, texels_of, visible_points
 from prt_bake.baking.report.methods import Row, fixed_sample_rows, seconds_for, slope
-from prt_bake.baking.report.page import rows_by_method
+from prt_bake.baking.report.page import as_markdown, rows_by_method
 from prt_bake.baking.report.report import report_bake
 from prt_bake.geometry import camera
 from prt_bake.lights import environment
@@ -54,6 +55,8 @@ def test_the_time_for_an_error_is_interpolated_and_extrapolated() -> None:
     similar = [Row("a", 2.0**k, 1.0 + 0.01 * k, 0.4 * 2.0 ** (-0.5 * k), 0.0) for k in range(6)]
     assert np.isnan(slope(similar)[0])
     assert rows[0].efficiency == pytest.approx(1.0 / 0.16)
+    table = as_markdown("Spot", [replace(row, method="uniform") for row in similar], [], 1024, [])
+    assert "| uniform | unknown | unknown | unknown |" in table
 
 
 def test_cells_hold_all_the_light_of_a_sky() -> None:

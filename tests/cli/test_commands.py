@@ -149,6 +149,7 @@ def test_a_dry_run_writes_nothing(prtbake: Run, tmp_path: Path) -> None:
     outcome = prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", "--samples", 18, "--dry-run")
     assert json.loads(outcome.out)["evaluations"] == 42 * 1024 * 18
     assert list(tmp_path.iterdir()) == []
+    assert outcome.err.startswith("prtbake: predicts the bake from pilots and some of its blocks")
     without = prtbake("bake", "model.pt", "sphere.ply", "--samples", 18, "--dry-run")
     assert json.loads(without.out)["evaluations"] == 42 * 1024 * 18
 

@@ -57,9 +57,10 @@ def test_every_figure_is_printed_and_in_json(prtbake: Run, pair: tuple[Path, Pat
     assert figures["pixels"] == 24 * 32
     assert figures["ssim_quarter"] is None
     lines = prtbake("compare", *pair).out.splitlines()
-    values = {line.split()[0]: float(line.split()[1]) for line in lines}
+    values = {line.split()[0]: line.split()[1] for line in lines}
     assert list(values) == [*names, "hdr_exposures"]
-    assert values["flip"] == pytest.approx(figures["flip"], rel=1e-4)
+    assert values["ssim_quarter"] == "unknown:"
+    assert float(values["flip"]) == pytest.approx(figures["flip"], rel=1e-4)
 
 
 def test_noise_is_removed_unless_kept(prtbake: Run, noisy: tuple[Path, Path]) -> None:
@@ -269,7 +270,16 @@ def test_a_picture_of_one_pixel_is_compared(prtbake: Run, tmp_path: Path) -> Non
     assert figures["ssim"] is None
     assert figures["noise_free"]["mse"]["value"] == pytest.approx(0.02, rel=1e-4)
     assert figures["noise_free"]["mse"]["low"] is None
-    assert "interval unknown" in prtbake("compare", *paths).out
+    printed = prtbake("compare", *paths).out
+    assert "interval unknown" in printed
+    assert "ssim          unknown: it needs pictures of at least 11x11 pixels" in printed
+    assert "ssim_quarter  unknown: it needs pictures of at least 44x44 pixels" in printed
+    assert "nan" not in printed
+
+
+def test_a_black_reference_has_no_relative_error(prtbake: Run, tmp_path: Path) -> None:
+    paths = save(tmp_path, "a.exr", picture()), save(tmp_path, "b.exr", np.zeros_like(picture()))
+    assert "relative_rmse unknown: the reference is black" in prtbake("compare", *paths).out
 
 
 def test_negative_radiance_is_reported_and_shown_as_black(prtbake: Run, tmp_path: Path) -> None:
@@ -301,6 +311,11 @@ def test_files_that_cannot_be_read_are_named(
         path.write_bytes(content)
     for order in ((path, pair[1]), (pair[0], path), (*pair, "--mask", path)):
         assert message in sentence(prtbake("compare", *order), tmp_path)
+
+
+def test_a_folder_in_place_of_a_mask_is_named(prtbake: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    assert "the image cannot be read" in sentence(prtbake("compare", *pair, "--mask", tmp_path), tmp_path)
+    assert "found a folder" in sentence(prtbake("compare", *pair, "--mask", tmp_path), tmp_path)
 
 
 @pytest.mark.parametrize("option", ["--sheet", "--difference-map", "--flip-map", "--hdr-flip-map"])

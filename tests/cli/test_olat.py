@@ -1,6 +1,7 @@
 """`prtbake sample --olat` and `prtbake compare` of folders on the command line."""
 
 import json
+import math
 import os
 import signal
 from pathlib import Path
@@ -8,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from prt_bake.olat import render
+from prt_bake.olat.score import PictureScore, SetScore
 from tests.cli.command_line import SCENE, Run
 
 FEW = ["--views", "1", "--lights", "2", "--test-views", "1", "--test-lights", "1", "--size", "12x12", "--spp", "4"]
@@ -49,6 +51,17 @@ def test_a_test_set_is_announced_written_continued_and_scored(prtbake: Run, tmp_
     assert lost.code == 1
     assert "v001_l002.exr: there is no such file" in lost.err
     assert lost.err.count("\n") == 1
+
+
+def test_a_similarity_of_pictures_that_are_too_small_is_unknown(
+    prtbake: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured = {"mse": 0.25, "ssim": math.nan, "flip": 0.5}
+    scores = {"test": SetScore(0.0, {"test/v001_l002": PictureScore(measured)})}
+    monkeypatch.setattr("prt_bake.olat.score.score", lambda *_arguments, **_options: scores)
+    printed = prtbake("compare", tmp_path, tmp_path, "--keep-noise").out
+    assert "  ssim  unknown: it needs pictures of at least 11x11 pixels" in printed.splitlines()
+    assert "nan" not in printed
 
 
 def test_ctrl_c_keeps_the_finished_pictures(prtbake: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

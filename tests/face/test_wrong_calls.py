@@ -243,6 +243,7 @@ WRONG: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "seed huge": (lambda: bake(seed=2**70), "seed must be at most 9,223,372,036,854,775,807, found 1,180"),
     "seed share": (lambda: bake(seed=1.5), "seed must be a whole number, found 1.5"),
+    "provenance nan": (lambda: bake(provenance={"x": np.nan}), "provenance: expected texts, numbers"),
     "provenance object": (lambda: bake(provenance={"x": object()}), "provenance: expected texts, numbers, .*object"),
     "for light prepared": (
         lambda: bake(for_light=prt.light_for(ASSET, LIGHTING)),

@@ -1,6 +1,7 @@
 """Artefacts are built once, and rebuilt only for changed inputs."""
 
 import json
+import math
 from pathlib import Path
 
 import pytest
@@ -61,6 +62,20 @@ def test_an_altered_or_missing_file_is_rebuilt(artefacts: Artefacts, messages: l
     made.path.with_name("b.txt.made.json").write_text(json.dumps({"inputs": {}}))
     artefacts.make("b.txt", {}, work)
     assert work.times == 4
+
+
+def test_unknown_facts_are_null_in_the_record_and_none_when_read(artefacts: Artefacts) -> None:
+    def build(path: Path) -> dict[str, object]:
+        path.write_text("made")
+        return {"ssim": math.nan, "flips": [0.5, math.inf]}
+
+    first = artefacts.make("b.txt", {}, build)
+    record = first.path.with_name("b.txt.made.json")
+    assert json.loads(record.read_text(), parse_constant=pytest.fail)["facts"]["ssim"] is None
+    assert (first.facts["ssim"], first.facts["flips"]) == (None, [0.5, None])
+    assert artefacts.find("b.txt", {}) == first
+    record.write_text(record.read_text().replace("null", "NaN"))  # as earlier versions wrote it
+    assert artefacts.find("b.txt", {}) == first
 
 
 def test_a_failed_build_leaves_no_record(artefacts: Artefacts) -> None:

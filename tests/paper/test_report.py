@@ -1,6 +1,7 @@
 """The report from end to end on a few pixels, resumed; its models copied, trained and resumed."""
 
 import json
+import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -253,12 +254,28 @@ def test_the_depth_ablation_is_relative_to_seven_layers_and_kept(
     assert (tmp_path / "lucy/layers/5_without_skips.pt").is_file()
 
 
+def test_the_depth_ablation_refuses_scenes_without_values_of_the_transport(prtbake: Run) -> None:
+    outcome = prtbake("report", "paper", "--layers", "--scene", "dragon", "--scene", "drink", "--out", "new")
+    assert outcome.code == 1
+    assert "drink.toml: --layers compares errors of Ŝ, which has no values behind the smooth interface" in outcome.err
+    assert not list(Path().glob("new/*"))
+
+
+def test_an_unknown_error_is_unknown_in_the_depth_ablation(
+    tmp_path: Path, scenes: Path, training: FakeTraining
+) -> None:
+    training.error = math.nan
+    errors = ablation(Artefacts(tmp_path, quiet), "lucy", read_scene(scenes / "spot.toml"), 1.0, "cpu", quiet)
+    assert all(math.isnan(error) for error in errors.values())
+
+
 def test_the_command_refuses_unknown_scenes_and_skies(prtbake: Run) -> None:
     Path("broken.hdr").write_text("no picture")
     for arguments, sentence in (
         (["--scene", "teapot"], "'teapot' is not a scene of the paper"),
         (["--sky", "nowhere.hdr"], "nowhere.hdr: there is no such sky"),
         (["--sky", "broken.hdr"], "broken.hdr: is not Radiance"),
+        (["--scenes", "."], "skies/outdoor.hdr: there is no such sky; expected the skies of the paper's scenes there"),
         (["--scenes", "nowhere"], "nowhere: there is no such folder; the paper's scenes are in the folder scenes of"),
     ):
         outcome = prtbake("report", "paper", "--out", "new", *arguments)

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -102,6 +103,23 @@ def test_figures_of_complete_pictures_are_optional() -> None:
     bare = result("lucy")
     bare = replace(bare, lines=tuple(replace(line, whole=None) for line in bare.lines))
     assert cells(first_table([bare]).splitlines()[3])[10:13] == ["", "", ""]
+
+
+def test_unknown_figures_are_dashes() -> None:
+    nothing = dict.fromkeys(figures(0.0), None)
+    bare = result("grape", noise=nothing)
+    bare = replace(bare, lines=tuple(replace(line, alone=nothing, whole=nothing) for line in bare.lines))
+    path, light = (cells(line) for line in first_table([bare]).splitlines()[2:4])
+    assert path[5:8] == ["noise –"] * 3
+    assert light[5:13] == ["–"] * 8
+    assert [cells(line)[2:4] for line in second_table([bare]).splitlines()[2:]] == [["–", "–"]] * 4
+    (mean,) = (cells(line) for line in means_table([bare], ["outdoor"]).splitlines() if "Net (mis)" in line)
+    assert mean[3:9] == ["–", "≤ 0.03", "", "–", "–", "–"]
+    page = markdown([bare, result("lucy")], SETTINGS)
+    assert not re.search(r"\bnan\b", page)
+    assert "A dash is a figure that is unknown" in page
+    rows = [Trained(minutes, 1000, math.nan, 0.2, 0.2, math.nan) for minutes in (1.0, 2.0)]
+    assert "a_lm –, picture –, FLIP 0.2000" in summary("dragon, outdoor", rows)
 
 
 def test_the_second_table_has_the_scenes_and_skies_of_the_paper() -> None:

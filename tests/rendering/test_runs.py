@@ -192,6 +192,13 @@ def test_sums_that_no_passes_have_are_refused(scene: Scene, tmp_path: Path, sent
         render(scene, checkpoint=path, resume=True)
 
 
+def test_the_noise_of_a_single_pass_is_read_back_as_infinite(tmp_path: Path) -> None:
+    path, sums = tmp_path / "a.render.npz", Sums.empty(2, 2)
+    sums.passes, sums.history = 1, [(0.5, 16.0, np.inf)]
+    write_checkpoint(path, sums, {}, {})
+    assert read_checkpoint(path, {}).history == [(0.5, 16.0, np.inf)]
+
+
 def test_a_limit_of_the_last_run_that_is_no_number_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.render.npz"
     write_checkpoint(path, Sums.empty(2, 2), {}, {"spp": 8, "error": None})

@@ -63,11 +63,16 @@ def as_markdown(title: str, rows: list[Row], parts: list[Part], bins: int, remar
     ]
     lines += ["", "| method | slope of error over time | 1 % takes | 0.1 % takes |", "|---|---|---|---|"]
     for method, own in methods.items():
-        lines.append(f"| {method} | {slope(own)[0]:.2f} | {_time(own, 0.01, bins)} | {_time(own, 0.001, bins)} |")
+        lines.append(f"| {method} | {_slope(own)} | {_time(own, 0.01, bins)} | {_time(own, 0.001, bins)} |")
     if parts:
         lines += ["", "| source of error in the picture | relative RMSE of its radiance | measured |", "|---|---|---|"]
         lines += [f"| {part.name} | {part.radiance:.3%} | {part.how} |" for part in parts]
     return "\n".join(lines) + "\n"
+
+
+def _slope(rows: list[Row]) -> str:
+    steepness = slope(rows)[0]
+    return "unknown" if math.isnan(steepness) else f"{steepness:.2f}"
 
 
 def _time(rows: list[Row], error: float, bins: int) -> str:
@@ -93,7 +98,7 @@ def plot(rows: list[Row], path: str | Path) -> None:
     for method, own in rows_by_method(rows).items():
         seconds, errors = [row.seconds for row in own], [row.error for row in own]
         steepness, at_one = slope(own)
-        (line,) = axes.loglog(seconds, errors, marker="o", linestyle="", label=f"{method} ({steepness:.2f})")
+        (line,) = axes.loglog(seconds, errors, marker="o", linestyle="", label=f"{method} ({_slope(own)})")
         if math.isfinite(steepness):
             ends = [min(seconds), max(seconds)]
             axes.loglog(ends, [math.exp(at_one) * s**steepness for s in ends], color=line.get_color(), alpha=0.6)

@@ -87,6 +87,7 @@ def paper(
     from prt_bake.paper.results import TITLES, Result
     from prt_bake.paper.scenes import scenes_folder, select_scenes
     from prt_bake.paper.settings import ReportSettings
+    from prt_bake.paper.tables import shown
     from prt_bake.paper.times import summary
 
     require("report paper", *EVALUATE)
@@ -126,7 +127,9 @@ def paper(
         try:
             if layers:
                 for name, errors in report.run_layers(selected).items():
-                    print(f"{name}: " + ", ".join(f"{network} {error:.3f}" for network, error in errors.items()))
+                    print(
+                        f"{name}: " + ", ".join(f"{network} {shown(error, '.3f')}" for network, error in errors.items())
+                    )
             if times:
                 for name, rows in report.run_times(selected, skies).items():
                     print(summary(name, rows))

@@ -85,7 +85,11 @@ def score_folders(predicted: Path, folder: Path, exposure: float | None, keep_no
 def _lines(found: "SetScore") -> list[str]:
     report, lines = found.as_json(), []
     for metric in ("mse", "psnr", "ssim", "flip"):
-        line = f"{metric:<5} {report['measured'][metric]['value']:<10.4g}"
+        measured = report["measured"][metric]["value"]
+        if measured != measured:  # pictures are smaller than the window of SSIM
+            lines.append(f"{metric:<5} unknown: it needs pictures of at least 11x11 pixels")
+            continue
+        line = f"{metric:<5} {measured:<10.4g}"
         free, noise = report["noise_free"][metric], report["of_noise"][metric]
         if free["value"] == free["value"]:
             line += f" without noise {free['value']:<10.4g}"

@@ -4,7 +4,6 @@ Rows are computed in tiles of one fixed size that stay in cache. A result does n
 """
 
 import hashlib
-import json
 from typing import Any, Protocol
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from formats.errors import QueryError
+from formats.json_report import as_line
 from prt_bake.network.core import NetworkCore
 from prt_bake.network.features.fourier import encode_directions
 from prt_bake.network.features.pair_kernel import cycles_rows, fourier_rows
@@ -55,7 +55,7 @@ def content_hash(network: Any) -> str:
         numbers.append(None if view is None else view.interior.content_hash)
         corner = getattr(network, "box_min", np.empty(0))
         corner = np.asarray(corner.cpu() if isinstance(corner, Tensor) else corner)
-        digest.update(json.dumps([numbers, corner.tolist()]).encode())
+        digest.update(as_line([numbers, corner.tolist()]).encode())
         for name, tensor in sorted(network.state_dict().items()):
             digest.update(name.encode() + tensor.detach().cpu().contiguous().numpy().tobytes())
     return digest.hexdigest()

@@ -1,5 +1,6 @@
 """The rows of the table of baselines, and their figures."""
 
+import math
 from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple
 
@@ -56,7 +57,7 @@ class Entry:
         contender: its name.
         figures: without the noise of both pictures, each with its 95 % interval: mse, ssim, ssim_quarter, flip,
             relative_rmse. Empty if there is no picture.
-        measured: mse, ssim, ssim_quarter and flip with the noise.
+        measured: mse, ssim, ssim_quarter and flip with the noise; None for one that is unknown.
         seconds, megabytes: rendering time of the picture, and size of the model's file.
         training: seconds, walks and relative_rmse of the training.
         missing: why there is no picture, or "".
@@ -64,7 +65,7 @@ class Entry:
 
     contender: str
     figures: dict[str, Interval] = field(default_factory=dict)
-    measured: dict[str, float] = field(default_factory=dict)
+    measured: dict[str, float | None] = field(default_factory=dict)
     seconds: float = 0.0
     megabytes: float = 0.0
     training: dict[str, Any] = field(default_factory=dict)
@@ -93,7 +94,7 @@ class Comparison:
     pixels: int
     stops: float
     reference: dict[str, Any]
-    noise: dict[str, float]
+    noise: dict[str, float | None]
     ceiling: dict[str, Any]
     entries: tuple[Entry, ...]
 
@@ -102,11 +103,12 @@ class Comparison:
         return next((entry for entry in self.entries if entry.contender == name and entry.figures), None)
 
     def factor(self, entry: Entry, figure: str) -> float | None:
-        """The entry's figure divided by that of the network that learned as long; None if there is none."""
+        """The entry's figure divided by that of the network that learned as long; None if one of them is unknown."""
         equal = self.entry(EQUAL)
         if equal is None or not entry.figures or not equal.figures[figure].value > 0.0:
             return None
-        return entry.figures[figure].value / equal.figures[figure].value
+        factor = entry.figures[figure].value / equal.figures[figure].value
+        return None if math.isnan(factor) else factor
 
     def published(self, contender: Contender) -> PaperSky | None:
         """The paper's figures of this row."""

@@ -29,6 +29,7 @@ from prt_bake.paper.scene_report import Progress, SceneReport, write_maps
 from prt_bake.paper.scenes import PaperScene, is_stand_in
 from prt_bake.paper.settings import ReportSettings
 from prt_bake.paper.sheet import Row, Tile, write_sheet
+from prt_bake.paper.tables import shown
 
 FILES = ("baselines.md", "baselines.json", "baselines.png")
 """The table and the sheet of pictures, in the folder of the report."""
@@ -156,7 +157,7 @@ class BaselineReport:
                 if entry is None:
                     tiles.append(None)
                     continue
-                label = f"FLIP {entry.figures['flip'].value:.3f}"
+                label = f"FLIP {shown(entry.figures['flip'].value, '.3f')}"
                 tiles.append(Tile(read_image(folder / _picture_name(contender.name)), maps[contender.name], label))
         return Row(f"{comparison.scene}, {comparison.sky}", comparison.stops, tuple(tiles))
 
@@ -199,7 +200,7 @@ def _entry(name: str, model: Artefact | str, pictures: dict[str, Artefact], fact
         return Entry(name, missing=model)
     return Entry(
         name,
-        {figure: Interval(**values) for figure, values in facts["figures"][name].items()},
+        {figure: Interval.from_json(values) for figure, values in facts["figures"][name].items()},
         facts["measured"][name],
         pictures[name].facts["seconds"],
         model.facts["megabytes"],

@@ -7,7 +7,7 @@ from typing import Any
 from prt_bake.mathematics.noise_free import Interval
 from prt_bake.paper.baselines.contenders import CONTENDERS, EQUAL, FIGURES, Comparison, Contender, Entry
 from prt_bake.paper.results import paper_scene
-from prt_bake.paper.tables import markdown_table
+from prt_bake.paper.tables import markdown_table, shown
 
 _EXPLANATION = """Pictures are {size}² and show subsurface light alone. Figures are means over the pixels that the
 object covers completely. The exposure gives the reference's object a median luminance of 0.18. MSE is that of linear
@@ -24,6 +24,10 @@ a sky of 16×32 pixels; all other rows have the whole sky.
 Ŝ and a_lm are relative errors on fresh queries. *Best Lambert albedo* is the least error of a surface whose albedo is
 free at every position and view: no BRDF without a glossy lobe does better. MB is the size of the model's file, s the
 rendering time at {spp} samples per pixel. Directions are drawn by the importance module of *Net*.
+
+A dash is a figure that is unknown. SSIM needs pictures of at least 11² pixels, at quarter size of 44². Behind a smooth
+interface Ŝ has no values, and after a short training noise hides its error and that of a_lm. Factors need a picture by
+*Net, same minutes* with an error above its noise.
 
 The paper's figures are those of its second table, for pictures of 1920² under its own skies, with their noise. It has
 one NeRFactor, one NeuMIP and one network, repeated beside each of ours."""
@@ -87,24 +91,25 @@ def _rows(comparison: Comparison, published: bool) -> Iterator[list[str]]:
                 f"{entry.seconds:.3g}",
                 *(_published(comparison, contender) if published else []),
             ]
-    noise = [f"{comparison.noise[name]:.2g}" for name in FIGURES]
+    noise = [shown(comparison.noise[name], ".2g") for name in FIGURES]
     yield ["*noise*", *noise]
     ceiling = [comparison.ceiling[name] for name in ("transport", "coefficients")]
-    yield ["*Best Lambert albedo*", *[""] * 6, *("" if part is None else f"{part['value']:.0%}" for part in ceiling)]
+    yield ["*Best Lambert albedo*", *[""] * 6, *(shown(part and part["value"], ".0%") for part in ceiling)]
 
 
 def _errors(entry: Entry) -> list[str]:
     """Return the relative errors of Ŝ and of a_lm."""
     rmse = entry.training.get("relative_rmse") or {}
     values = (rmse.get(name) for name in ("transport", "coefficients"))
-    return ["" if value is None else f"{value:.1%}" for value in values]
+    return [shown(value, ".1%") for value in values]
 
 
 def _published(comparison: Comparison, contender: Contender) -> list[str]:
     row = comparison.published(contender)
     if row is None:
         return []
-    factors = [_factor(comparison.published_factor(contender, name)) for name in ("mse", "flip")]
+    pairs = (comparison.published_factor(contender, name) for name in ("mse", "flip"))
+    factors = ["" if factor is None else _factor(factor) for factor in pairs]
     return [f"{row.mse:.1e}", f"{row.ssim:.3f}", f"{row.ssim_quarter:.3f}", f"{row.flip:.3f}", *factors]
 
 
@@ -131,8 +136,8 @@ def _sentences(comparison: Comparison) -> Iterator[str]:
 def _interval(figure: str, interval: Interval) -> str:
     digits = ".2g" if figure == "mse" else ".3f"
     bounds = "" if math.isnan(interval.low) else f" ({interval.low:{digits}}–{interval.high:{digits}})"
-    return f"{interval.value:{digits}}{bounds}"
+    return f"{shown(interval.value, digits)}{bounds}"
 
 
 def _factor(value: float | None) -> str:
-    return "" if value is None else f"{value:.2g}" if value < 10.0 else f"{value:,.0f}"
+    return shown(value, ",.0f" if value is not None and value >= 10.0 else ".2g")

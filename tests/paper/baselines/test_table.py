@@ -1,6 +1,8 @@
 """The table of baselines from synthetic figures."""
 
 import json
+import math
+import re
 from dataclasses import replace
 
 import pytest
@@ -41,10 +43,22 @@ def test_a_row_has_the_figures_with_intervals_and_the_papers_beside_them() -> No
     page = markdown([comparison()], SETTINGS)
     row = cells(page, "NeuMIP")
     assert row[1:5] == ["0.12 (0.11–0.13)", *["0.120 (0.108–0.132)"] * 3]
-    assert row[5:11] == ["12", "12", "", "12.5%", "0.68", "3.25"]
+    assert row[5:11] == ["12", "12", "–", "12.5%", "0.68", "3.25"]
     assert row[11:] == ["1.8e-04", "0.982", "0.990", "0.051", "2", "2.9"]
-    assert cells(page, "*Best Lambert albedo*")[7:9] == ["", "96%"]
+    assert cells(page, "*Best Lambert albedo*")[7:9] == ["–", "96%"]
     assert cells(page, "*noise*")[1] == "0.001"
+
+
+def test_unknown_figures_are_dashes() -> None:
+    unknown = {figure: Interval(math.nan, math.nan, math.nan) for figure in (*FIGURES, "relative_rmse")}
+    whole = comparison()
+    entries = tuple(replace(e, figures=unknown, training={}) if e.contender == "neumip" else e for e in whole.entries)
+    page = markdown([replace(whole, entries=entries, noise=dict.fromkeys(FIGURES, None))], SETTINGS)
+    assert cells(page, "NeuMIP")[1:9] == ["–"] * 8
+    assert cells(page, "*noise*")[1:5] == ["–"] * 4
+    assert "A dash is a figure that is unknown" in page
+    assert not re.search(r"\bnan\b", page)
+    assert standing(replace(whole, entries=entries), NEUMIP) == ""
 
 
 def test_all_rows_of_a_table_have_as_many_cells() -> None:
@@ -89,4 +103,7 @@ def test_the_figures_are_plain_json() -> None:
     read = json.loads(as_text(comparison().as_json()))
     assert read["paper"]["nerfactor"]["flip"] == 0.132
     assert read["entries"][3]["figures"]["mse"] == pytest.approx({"value": 0.08, "low": 0.072, "high": 0.088})
+    assert Interval.from_json(read["entries"][3]["figures"]["mse"]) == comparison().entries[3].figures["mse"]
+    unknown = Interval.from_json(json.loads(as_text(Interval(0.5, math.nan, math.nan).as_json())))
+    assert (unknown.value, math.isnan(unknown.low), math.isnan(unknown.high)) == (0.5, True, True)
     assert read["entries"][3]["contender"] == "nerfactor-own-sky"
