@@ -8,7 +8,6 @@ import pytest
 from formats.mesh import write_mesh
 from prt_bake.baselines import neumip_training
 from prt_bake.network.bssrdf import load_model
-from prt_bake.trainer import interior
 from tests.baselines.shapes import ball_of_charts
 from tests.cli.command_line import Run
 from tests.trainer.small_training import SCENE
@@ -61,8 +60,8 @@ def test_an_unknown_baseline_names_those_that_exist(prtbake: Run, scene: Path) -
     assert "found 'neumop'" in run.err
 
 
-def test_another_kind_of_model_is_not_resumed(prtbake: Run, trained: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(interior, "_MOST_POINTS", 32**3)
+@pytest.mark.usefixtures("coarse_interior")
+def test_another_kind_of_model_is_not_resumed(prtbake: Run, trained: Path) -> None:
     run = prtbake("train", "ball.toml", "-o", "m.pt", "--resume", "--steps", 4)
     assert run.code == 1
     assert "m.train.pt: the run trains a model of another kind; request the same --baseline" in run.err
