@@ -147,6 +147,7 @@ def test_a_known_transport_is_learned_from_values(fitted: NeuMIP) -> None:
     assert error_of(fitted, ball_of_charts()) < 0.1
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(("exits", "published"), [(True, False), (False, True)])
 def test_a_known_transport_is_learned_from_exits_and_by_the_published_loss(exits: bool, published: bool) -> None:
     mesh = ball_of_charts()
