@@ -27,7 +27,7 @@ def shipped(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 NAMES = [name for name in prt.__all__ if name == "PrtbakeError" or not name.endswith(("Error", "Warning"))]
-SLOW = {"train": pytest.mark.statistics}
+SLOW = dict.fromkeys(("add_lobes", "train"), pytest.mark.statistics)
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=SLOW.get(name, ())) for name in NAMES])

@@ -14,20 +14,26 @@ from tests.trainer.small_training import SCENE
 
 
 @pytest.fixture
-def trained(prtbake: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A NeuMIP of a ball, after two steps."""
-    few = replace(neumip_training.LEARNING, batch=64, held_out_queries=16, held_out_walks=16)
-    monkeypatch.setattr(neumip_training, "LEARNING", few)
+def scene(prtbake: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A ball, in the working directory."""
     write_mesh(ball_of_charts(), tmp_path / "ball.obj")
     (tmp_path / "ball.toml").write_text(SCENE.format(eta=1.0, roughness=0.0).replace("ball.ply", "ball.obj"))
     monkeypatch.chdir(tmp_path)
+    return tmp_path / "ball.toml"
+
+
+@pytest.fixture
+def trained(prtbake: Run, scene: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A NeuMIP of the ball, after two steps."""
+    few = replace(neumip_training.LEARNING, batch=64, held_out_queries=16, held_out_walks=16)
+    monkeypatch.setattr(neumip_training, "LEARNING", few)
     run = prtbake(
         "train", "ball.toml", "-o", "m.pt", "--baseline", "neumip", "--steps", 2, "--no-report", "--no-importance"
     )
     assert run.code == 0, run.err
     assert "m.pt: 2 steps" in run.out
     assert "next: prtbake bake m.pt ball.obj -o m.h5" in run.err + run.out
-    return tmp_path / "m.pt"
+    return scene.parent / "m.pt"
 
 
 def test_its_model_is_described_checked_baked_and_rendered(prtbake: Run, trained: Path) -> None:
@@ -47,13 +53,14 @@ def test_its_model_is_described_checked_baked_and_rendered(prtbake: Run, trained
     assert rendered.code == 0, rendered.err
 
 
-def test_an_unknown_baseline_names_those_that_exist(prtbake: Run, trained: Path) -> None:
+def test_an_unknown_baseline_names_those_that_exist(prtbake: Run, scene: Path) -> None:
     run = prtbake("train", "ball.toml", "-o", "n.pt", "--baseline", "neumop", "--steps", 2)
     assert run.code == 1
     assert "baseline: expected one of neumip, neumip-pyramid, neumip-log" in run.err
     assert "found 'neumop'" in run.err
 
 
+@pytest.mark.usefixtures("coarse_interior")
 def test_another_kind_of_model_is_not_resumed(prtbake: Run, trained: Path) -> None:
     run = prtbake("train", "ball.toml", "-o", "m.pt", "--resume", "--steps", 4)
     assert run.code == 1

@@ -88,11 +88,13 @@ def test_a_lambert_sphere_is_recovered_under_a_known_light():
     np.testing.assert_allclose(fit.model.albedo_scale, 1.0, rtol=0.02)
 
 
+@pytest.mark.statistics
 def test_a_lambert_sphere_is_recovered_under_an_unknown_light(of_unknown_light):
     found = albedo_of(of_unknown_light)
     np.testing.assert_allclose(found.mean(axis=0), ALBEDO, rtol=0.02)
 
 
+@pytest.mark.statistics
 def test_the_unknown_light_is_recovered_up_to_its_scale(of_unknown_light):
     """A Lambert sphere shows a light up to its second band (Ramamoorthi and Hanrahan 2001)."""
     found, true = project(of_unknown_light.found_light()), project(sky_picture())

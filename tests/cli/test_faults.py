@@ -174,7 +174,19 @@ def test_a_full_disk_is_one_sentence_and_older_output_stays(folder: Path, tmp_pa
         "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (65536, 65536));"
         "from prt_bake.cli.main import main; sys.exit(main(sys.argv[1:]))"
     )
-    command = ["bake", "model.pt", "sphere.ply", "-o", str(output), "--samples", "18", "--storage", "float32"]
+    command = [
+        "bake",
+        "model.pt",
+        "sphere.ply",
+        "-o",
+        str(output),
+        "--samples",
+        "18",
+        "--lobes",
+        "0",
+        "--storage",
+        "float32",
+    ]
     ran = subprocess.run(
         [sys.executable, "-c", program, *command, "--force"], cwd=folder, capture_output=True, text=True, check=False
     )
@@ -189,7 +201,7 @@ def _start_long_bake(folder: Path, output: Path) -> subprocess.Popen[str]:
         "import sys; from prt_bake.cli import main; from prt_bake.cli.shared import progress; "
         "progress.PLAIN_INTERVAL = 0.0; sys.exit(main.main(sys.argv[1:]))"
     )
-    options = ["-o", str(output), "--samples", "1024", "--force"]
+    options = ["-o", str(output), "--samples", "1024", "--lobes", "0", "--force"]
     command = [sys.executable, "-c", program, "bake", "model.pt", "sphere.ply", *options]
     process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None

@@ -104,7 +104,7 @@ def test_compression_keeps_lobes_or_leaves_them_out(prtbake: Run, tmp_path: Path
 
 
 def test_compression_rounds_lobes_within_twice_its_error(prtbake: Run, tmp_path: Path) -> None:
-    bake = ["bake", "model.pt", "sphere.ply", "--rings", 8, "--sectors", 64, "--samples", 18]
+    bake = ["bake", "model.pt", "sphere.ply", "--rings", 8, "--sectors", 32, "--samples", 18]
     assert prtbake(*bake, "-o", tmp_path / "asset.h5").code == 0
     baked = read_asset(tmp_path / "asset.h5")
     assert baked.lobes is not None

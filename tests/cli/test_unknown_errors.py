@@ -9,6 +9,7 @@ from prt_bake.network.bssrdf import load_model
 from tests.cli.command_line import SCENE, Run
 
 
+@pytest.mark.usefixtures("coarse_interior")
 def test_a_reference_that_is_only_noise_gives_no_error(prtbake: Run, folder: Path, tmp_path: Path) -> None:
     (folder / "dim.toml").write_text(SCENE.replace("albedo = 0.9", "albedo = 1e-4"))
     model = tmp_path / "m.pt"

@@ -14,7 +14,7 @@ _NUMBERS = st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st
 _VALUES = st.recursive(
     _NUMBERS | st.text(),
     lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
-    max_leaves=30,
+    max_leaves=10,
 )
 
 

@@ -50,7 +50,7 @@ def test_coefficients_in_another_order_are_a_warning(prtbake: Run, baked: Path, 
     with h5py.File(baked, "r+") as file:
         file["transfer/coefficients"][...] = file["transfer/coefficients"][...][::-1]
     options = {
-        "shade": ["--light", "sky.exr", "-o", tmp_path / "a.exr"],
+        "shade": ["--light", "sky.exr", "--size", "16x12", "-o", tmp_path / "a.exr"],
         "compress": ["-o", tmp_path / "c.h5"],
     }
     outcome = prtbake(command, baked, *options[command])

@@ -62,7 +62,7 @@ def overlaps(fine: np.ndarray, coarse: np.ndarray) -> np.ndarray:
     return np.maximum(common, 0.0) / np.diff(coarse)[:, None]
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (3, 700), (128, 256), (300, 31), (129, 257), (1000, 1999)])
+@pytest.mark.parametrize("shape", [(1, 1), (3, 700), (128, 256), (300, 31), (129, 257), (500, 999)])
 def test_cells_are_means_over_solid_angle(shape: tuple[int, int]) -> None:
     """Compared with sums over all pixels at once, in more digits."""
     image = np.random.default_rng(5).random((*shape, 3), np.float32)

@@ -40,18 +40,18 @@ def exact(light: Lighting, degree: int, sharpness: float, axes: np.ndarray = AXE
 
 
 @pytest.mark.parametrize("degree", [0, 2, 4])
-@pytest.mark.parametrize("sharpness", [1.0, 3.0, 20.0, 50.0])
-def test_skies_are_averaged_with_the_gaussian(sharpness: float, degree: int) -> None:
+def test_skies_are_averaged_with_the_gaussian(degree: int) -> None:
     light = smooth_sky()
     prepared = lobe_light(light, degree, 1.0, 60.0)
     ones = np.ones((len(AXES), 1))
-    found = lobe_radiance(prepared, AXES[:, None], sharpness * ones, np.ones((len(AXES), 1, 3)))
-    expected = exact(light, degree, sharpness)
-    assert np.abs(found - expected).max() <= 0.02 * light.radiance(AXES).max()
+    for sharpness in (1.0, 3.0, 20.0, 50.0):
+        found = lobe_radiance(prepared, AXES[:, None], sharpness * ones, np.ones((len(AXES), 1, 3)))
+        expected = exact(light, degree, sharpness)
+        assert np.abs(found - expected).max() <= 0.02 * light.radiance(AXES).max(), sharpness
 
 
 def test_a_constant_sky_adds_nothing() -> None:
-    prepared = lobe_light(sky(np.full((16, 32, 3), 5.0)), 2, 0.3, 60.0)
+    prepared = lobe_light(sky(np.full((16, 32, 3), 5.0)), 2, 0.3, 12.0)
     found = lobe_radiance(prepared, AXES[:, None], np.full((50, 1), 7.0), np.ones((50, 1, 3)))
     assert np.abs(found).max() <= 1e-5
 
@@ -77,7 +77,7 @@ def test_radiance_is_linear_in_light_and_power() -> None:
     powers = np.random.default_rng(1).normal(size=(50, 1, 3))
 
     def under(light: Lighting, factor: float = 1.0) -> np.ndarray:
-        return lobe_radiance(lobe_light(light, 2, 0.3, 60.0), axes, sharpness, factor * powers)
+        return lobe_radiance(lobe_light(light, 2, 0.3, 12.0), axes, sharpness, factor * powers)
 
     assert np.allclose(under(both), under(first) + under(second), atol=1e-9)
     assert np.allclose(under(first, -3.0), -3.0 * under(first))

@@ -25,10 +25,11 @@ def lobes(scale: float = 1.0, seed: int = 0) -> Lobes:
 
 
 def values(some: Lobes) -> np.ndarray:
-    """Each lobe's values [V,N,J,D,3], in float64."""
+    """Each lobe's values [V,N,J,D,3] on a coarser lattice, in float64."""
+    towards = fibonacci(10_000)
     sharpness = some.sharpness.astype(np.float64)[..., None]
     axes = some.axes / np.linalg.norm(some.axes, axis=-1, keepdims=True)
-    shape = np.exp(sharpness * (axes.astype(np.float64) @ TOWARDS.T - 1.0))
+    shape = np.exp(sharpness * (axes.astype(np.float64) @ towards.T - 1.0))
     peak = sharpness / (2.0 * np.pi * -np.expm1(-2.0 * sharpness))
     return (peak * shape)[..., None] * some.powers.astype(np.float64)[..., None, :]
 

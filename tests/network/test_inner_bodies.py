@@ -57,9 +57,9 @@ def test_a_small_body_is_kept_to_a_step() -> None:
 
 
 def test_a_large_body_is_coarser_closed_and_of_the_same_volume() -> None:
-    positions, faces = sphere(6)[:2]
+    positions, faces = sphere(5)[:2]
     positions = positions + 0.01 * RNG.normal(size=positions.shape)
-    bodies = fitting_bodies([sphere(6)._replace(positions=positions)])
+    bodies = fitting_bodies([sphere(5)._replace(positions=positions)])
     assert MOST_BYTES / 8 < len(packed_bodies(bodies)) <= MOST_BYTES
     body = bodies[0]
     assert 500 < len(body.faces) < len(faces)

@@ -37,6 +37,7 @@ def test_levels_are_the_distances_to_a_sphere(tmp_path: Path, scale: float) -> N
     assert interior.levels.size <= 1.2 * 96**3
 
 
+@pytest.mark.usefixtures("coarse_interior")
 def test_the_grid_s_normals_of_wide_faces_are_exact(tmp_path: Path) -> None:
     """A box of 12 faces along the axes; rays refract at its walls by these normals."""
     box = trimesh.creation.box((1.0, 0.8, 0.6))
@@ -132,6 +133,7 @@ phase_g = 0.5
     assert len(interior.packed()) <= MOST_BYTES
 
 
+@pytest.mark.usefixtures("coarse_interior")
 def test_meshes_inside_are_those_of_the_parts() -> None:
     """In box sides; a diffuse body has the index of what surrounds it."""
     scene = read_scene(GRAPE)
@@ -145,6 +147,7 @@ def test_meshes_inside_are_those_of_the_parts() -> None:
     assert interior_of(scene, box).inner == ()
 
 
+@pytest.mark.usefixtures("coarse_interior")
 def test_bodies_follow_those_that_contain_them() -> None:
     scene = read_scene(GRAPE.parents[1] / "drink" / "drink.toml")
     inner = interior_of(scene, box_of(scene), with_meshes=True).inner

@@ -20,6 +20,8 @@ from tests.shapes import ball
 from tests.tracer.scenes import make_scene, with_uv
 from tests.trainer import small_training
 
+pytestmark = pytest.mark.usefixtures("coarse_interior")
+
 GRAPE = Path(__file__).parents[2] / "scenes" / "grape" / "grape.toml"
 
 
@@ -143,11 +145,12 @@ def test_a_grid_that_does_not_vary_is_left_out(tmp_path: Path) -> None:
 def test_noise_is_sampled_as_finely_as_its_bytes_allow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     noise = np.random.default_rng(0).uniform(0.1, 9.0, (24, 24, 24))
     scene = make_scene(tmp_path, ball(3), sigma_t=noise)
+    monkeypatch.setattr(channels, "_FINEST", 40)
     fine, _nodes = sampled(scene)
-    monkeypatch.setattr(channels, "MOST_BYTES", 20_000)
+    monkeypatch.setattr(channels, "MOST_BYTES", 15_000)
     coarse, _nodes = sampled(scene)
-    assert len(fine.packed()) > 20_000 >= len(coarse.packed()) > 8_000
-    assert coarse.per_side < fine.per_side == 64
+    assert len(fine.packed()) > 15_000 >= len(coarse.packed()) > 6_000
+    assert coarse.per_side < fine.per_side == 40
 
 
 def test_a_training_sees_the_material(tmp_path: Path) -> None:

@@ -53,7 +53,7 @@ def test_a_lobe_narrower_than_the_directions_does_no_harm() -> None:
     assert found <= 1.05 * without
 
 
-@pytest.mark.parametrize("degree", [0, 1, 5, 9])
+@pytest.mark.parametrize("degree", [0, 1, 5, 7])
 def test_any_degree_has_lobes(degree: int) -> None:
     transport = Lobed(((along_normal, 40.0, 1.0),))
     asset = prt.bake(transport, MESH, degree=degree, rings=4, sectors=8, samples=256, lobes=4)

@@ -63,21 +63,21 @@ class Reader:
         i, j = r.astype(int), self.floor(turn := self._turn(x, y, asset.sectors)).astype(int)
         below = np.minimum(i + 1, asset.rings - 1) if self.clamps else i + 1
         a, h = r - i, turn - j
+        numbers = np.asarray(asset.coefficients, np.float64)
         p = np.clip(-2.0 * depth, 0.0, 1.0) if self.has_pole else np.zeros(len(z))
         value = np.zeros((len(z), 3))
         for ring, share in ((i, 1.0 - a), (below, a)):
             for sector, part in ((j, 1.0 - h), (j + 1, h)):
-                value += ((1.0 - p) * share * part)[:, None] * self._lit(asset, vertex, ring, sector)
+                value += ((1.0 - p) * share * part)[:, None] * self._lit(asset, numbers, vertex, ring, sector)
         for sector in range(asset.sectors):
-            value += (p / asset.sectors)[:, None] * self._lit(asset, vertex, 0 * i, sector + 0 * i)
+            value += (p / asset.sectors)[:, None] * self._lit(asset, numbers, vertex, 0 * i, sector + 0 * i)
         return value if self.below else value * (z > 0.0)[:, None]
 
     def _turn(self, x: Array, y: Array, sectors: int) -> Array:
         return np.asarray(self.arctangent(y, x) / (2.0 * np.pi) * sectors - self.half_sector)
 
-    def _lit(self, asset: Asset, vertex: Any, ring: Any, sector: Any) -> Array:
+    def _lit(self, asset: Asset, numbers: Array, vertex: Any, ring: Any, sector: Any) -> Array:
         """Σ_k coefficients · light [S,3] at one bin, read from the numbers as they lie in the file."""
-        numbers = np.asarray(asset.coefficients, np.float64)
         _, bins, terms, channels = numbers.shape
         sector = (sector + self.sector) % asset.sectors if self.wraps else sector + self.sector
         ring = ring + self.ring
