@@ -354,15 +354,19 @@ class NetworkCore(TrainableModel):
 
 
 def _linear_of_parts(layer: Any, parts: list[Tensor]) -> Tensor:
-    """The linear layer of the concatenated parts, [N,1,·] or [N,D,·]; multiplies parts shared by the D once."""
-    if len({part.shape[1] for part in parts}) == 1:
-        return torch.as_tensor(layer(torch.cat(parts, dim=-1) if len(parts) > 1 else parts[0]))
+    """The linear layer of the concatenated parts, [N,1,·] or [N,D,·]; multiplies parts shared by the D once.
+
+    The other parts are multiplied one by one, since concatenating them takes longer.
+    """
+    if all(part.shape[1] == 1 for part in parts):
+        return torch.as_tensor(layer(torch.cat(parts, dim=-1)))
     columns = layer.weight.split([part.shape[-1] for part in parts], dim=1)
-    shared = [(part, weight) for part, weight in zip(parts, columns, strict=True) if part.shape[1] == 1]
-    separate = [(part, weight) for part, weight in zip(parts, columns, strict=True) if part.shape[1] > 1]
-    once, each = (
-        torch.nn.functional.linear(*(torch.cat(group, dim=-1) for group in zip(*kind, strict=True)))
-        for kind in (shared, separate)
-    )
-    result: Tensor = once + (each + layer.bias)
-    return result
+    shared = [(part, weights) for part, weights in zip(parts, columns, strict=True) if part.shape[1] == 1]
+    separate = [(part, weights) for part, weights in zip(parts, columns, strict=True) if part.shape[1] > 1]
+    total: Tensor = layer.bias
+    for part, weights in separate:
+        total = torch.addmm(total, part.flatten(0, 1), weights.T)
+    total = total.view(*separate[0][0].shape[:2], -1)
+    for part, weights in shared:
+        total = total + torch.nn.functional.linear(part, weights)
+    return total

@@ -60,9 +60,9 @@ class LearningSettings:
     """Whether the model has the running average of the weights instead of the last weights."""
     average_length: float = 0.03
     """Mean age of the averaged weights as a share of the steps so far; 0.5 weights all steps equally."""
-    spread: int = 24
+    spread: int = 12
     """Uniform directions in which a query of exits is also evaluated: a randomly rotated lattice."""
-    coarse_steps: int = 1000
+    coarse_steps: int = 300
     """First steps that use a third of the exits and of the uniform directions. The network learns coarse structure
     first, sooner from many cheap steps."""
     core_share: float = 0.25

@@ -42,6 +42,8 @@ VARIANTS = {
     "AdamW alone": Variant({"muon": False}),
     "half of the rows": Variant(share=0.5),
     "all rays from the first step": Variant({"coarse_steps": 0}),
+    "24 uniform directions": Variant({"spread": 24}),
+    "24 uniform directions, all rays from the first step": Variant({"spread": 24, "coarse_steps": 0}),
     "AdamW alone, all rays from the first step": Variant({"coarse_steps": 0, "muon": False}),
     "rate 0.008": Variant({"rate": 8e-3}),
     "weight decay 0.3": Variant({"decay": 0.3}),
@@ -76,7 +78,7 @@ def main() -> None:
         begun = time.perf_counter()
         network, steps = trained(scene, rows, reference.scale(), VARIANTS[name])
         seconds = time.perf_counter() - begun
-        print(f"{name:42s} {steps} steps, {seconds:4.0f} s, {errors(network, reference)}", flush=True)
+        print(f"{name:52s} {steps} steps, {seconds:4.0f} s, {errors(network, reference)}", flush=True)
 
 
 def traced_rows(scene: Scene, count: int, settings: StreamSettings) -> Array:

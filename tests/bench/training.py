@@ -147,9 +147,9 @@ VARIANTS: dict[str, Variant] = {
     "32 paths per query, each a ray": stream(least_exits=32, kept=32),
     "6 rays per query": stream(kept=6),
     "no coarse steps": learning(coarse_steps=0),
-    "3000 coarse steps": learning(coarse_steps=3000),
+    "1000 coarse steps": learning(coarse_steps=1000),
     "8 directions in addition to the exits": learning(spread=8),
-    "48 directions in addition to the exits": learning(spread=48),
+    "24 directions in addition to the exits": learning(spread=24),
     "1 path per value": stream(walks=1),
     "4 paths per value": stream(walks=4),
 }

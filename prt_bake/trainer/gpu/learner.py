@@ -18,9 +18,9 @@ from prt_bake.trainer.gpu.renderer import GpuBatch
 from prt_bake.trainer.learner import Learner, LearningSettings, learning_rate
 from prt_bake.trainer.samples.rows import OUTGOING, POSITION, Batch, RowSource, rays_of
 
-GPU_LEARNING = LearningSettings(coarse_steps=0)
-"""Settings for a GPU. Larger batches take less time, but on the same rows they learn much less
-(`docs/measurements/training.md`)."""
+GPU_LEARNING = LearningSettings(spread=24, coarse_steps=0)
+"""Settings for a GPU, where more directions take hardly any time. Larger batches take less time, but on the same rows
+they learn much less (`docs/measurements/training.md`)."""
 _WARM_UP = 3
 """Steps before the recording: first compilations and allocations cannot be recorded."""
 _stream: Any = torch.cuda.Stream
