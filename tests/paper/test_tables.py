@@ -5,6 +5,8 @@ import math
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from PIL import Image
 
 from formats.image.png import to_srgb
 from prt_bake.paper import results as records
+from prt_bake.paper import times
 from prt_bake.paper.layers import network_settings, relative, variants
 from prt_bake.paper.plots import plot_layers, plot_times, plot_training
 from prt_bake.paper.results import METHODS, PAPER_MEANS, Line, Result
@@ -225,6 +228,21 @@ def test_the_extrapolation_of_training_time() -> None:
     assert power_law(rows, "coefficients").minutes_to(0.03) == math.inf
     assert power_law([trained(1.0, 0.0)], "flip").minutes_to(0.03) == math.inf
     assert summary("dragon, outdoor", [trained(1.0, 0.2), trained(2.0, 0.2)]).endswith("cannot be extrapolated")
+
+
+def test_trainings_of_unknown_error_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = SimpleNamespace(facts={"relative_rmse": {"coefficients": None}, "walks": 5})
+    monkeypatch.setattr(times, "train_once", lambda *_: model)
+    scene: Any = SimpleNamespace(
+        paper=SimpleNamespace(name="grape"),
+        artefacts=None,
+        scene=None,
+        settings=SimpleNamespace(device="cpu"),
+        evaluate_model=lambda *_: {"flip": 0.2, "flip_without_noise": 0.1, "error": 0.3},
+    )
+    rows = times.trainings(scene, "outdoor", Path("sky.hdr"), 8.0, lambda *_: None)
+    assert all(math.isnan(row.coefficients) for row in rows)
+    assert power_law(rows, "flip_without_noise").level == pytest.approx(0.1)
 
 
 def test_plots_are_written(tmp_path: Path) -> None:

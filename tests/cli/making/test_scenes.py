@@ -10,77 +10,77 @@ from formats.errors import PrtbakeError
 from formats.mesh import flipped, read_mesh, write_mesh
 
 
-def test_another_scene_or_foreign_files_are_refused(kitchen):
-    kitchen.run("wax.toml", "-o", "out")
+def test_another_scene_or_foreign_files_are_refused(stand_ins):
+    stand_ins.run("wax.toml", "-o", "out")
     text = Path("wax.toml").read_text()
     Path("wax.toml").write_text(text.replace("density = 1.0", "density = 2.0"))
     with pytest.raises(PrtbakeError, match=r"out: was made with scene_hash .* choose another folder, or add --force"):
-        kitchen.run("wax.toml", "-o", "out")
+        stand_ins.run("wax.toml", "-o", "out")
     Path("wax.toml").write_text(text)
-    kitchen.seconds |= {"train": 150.0, "bake": 40.0}
-    assert len(kitchen.run("wax.toml", "-o", "out", "--minutes", "5", "--force")) == 4
+    stand_ins.seconds |= {"train": 150.0, "bake": 40.0}
+    assert len(stand_ins.run("wax.toml", "-o", "out", "--minutes", "5", "--force")) == 4
     Path("out/summary.json").write_text("{}")
     with pytest.raises(PrtbakeError, match=r"summary\.json: was not written by `prtbake make`, or is damaged"):
-        kitchen.run("wax.toml", "-o", "out")
+        stand_ins.run("wax.toml", "-o", "out")
     Path("out/summary.json").unlink()
     with pytest.raises(PrtbakeError, match=r"model\.pt: already exists; choose another folder, or add --force"):
-        kitchen.run("wax.toml", "-o", "out")
+        stand_ins.run("wax.toml", "-o", "out")
 
 
-def test_a_mesh_gets_a_scene_in_the_folder(kitchen, capsys):
-    kitchen.run("ball.obj", "-o", "out", "--material", "jade", "--size", "4cm")
+def test_a_mesh_gets_a_scene_in_the_folder(stand_ins, capsys):
+    stand_ins.run("ball.obj", "-o", "out", "--material", "jade", "--size", "4cm")
     assert 'material = "jade"' in Path("out/ball.toml").read_text()
-    assert kitchen.run("ball.obj", "-o", "out", "--material", "jade", "--size", "4cm") == []
+    assert stand_ins.run("ball.obj", "-o", "out", "--material", "jade", "--size", "4cm") == []
     assert "out/ball.toml: is there already, and is used; --force writes it anew" in capsys.readouterr().err
-    assert kitchen.run("ball.obj", "-o", "out") == []
+    assert stand_ins.run("ball.obj", "-o", "out") == []
     with pytest.raises(PrtbakeError, match=r"ball\.toml: is another scene than --material and --size ask for"):
-        kitchen.run("ball.obj", "-o", "out", "--material", "jade", "--size", "5cm")
+        stand_ins.run("ball.obj", "-o", "out", "--material", "jade", "--size", "5cm")
 
 
-def test_what_would_fail_later_is_refused_at_once(kitchen):
+def test_what_would_fail_later_is_refused_at_once(stand_ins):
     with pytest.raises(typer.BadParameter, match="--material and --size are for meshes"):
-        kitchen.run("wax.toml", "-o", "out", "--material", "jade")
+        stand_ins.run("wax.toml", "-o", "out", "--material", "jade")
     with pytest.raises(PrtbakeError, match=r"asset\.h5: expected a scene or a mesh \(SCENE\), found an asset"):
-        kitchen.run(kitchen.asset, "-o", "out")
+        stand_ins.run(stand_ins.asset, "-o", "out")
     with pytest.raises(PrtbakeError, match=r"missing\.hdr: there is no such file"):
-        kitchen.run("wax.toml", "-o", "out", "--light", "missing.hdr")
+        stand_ins.run("wax.toml", "-o", "out", "--light", "missing.hdr")
     write_mesh(flipped(read_mesh("ball.obj")), "ball.obj")
     with pytest.raises(PrtbakeError, match=r"ball\.obj: the faces are wound inside out; flip the normals"):
-        kitchen.run("wax.toml", "-o", "out")
+        stand_ins.run("wax.toml", "-o", "out")
     for size, words in (("", "--material and --size are"), ("0.1", "training, bake and pictures take 2 minutes")):
         with pytest.raises(typer.BadParameter, match=words):
-            kitchen.run("wax.toml", "-o", "out", *(["--minutes", size] if size else ["--size", "3cm"]))
-    assert kitchen.calls == []
+            stand_ins.run("wax.toml", "-o", "out", *(["--minutes", size] if size else ["--size", "3cm"]))
+    assert stand_ins.calls == []
 
 
-def test_a_mesh_is_checked_before_anything_is_written(kitchen):
+def test_a_mesh_is_checked_before_anything_is_written(stand_ins):
     trimesh.load("ball.obj").export("ball.glb")  # 2 m
     with pytest.raises(typer.BadParameter, match="Missing option '--material'"):
-        kitchen.run("ball.glb", "-o", "new")
+        stand_ins.run("ball.glb", "-o", "new")
     with pytest.raises(PrtbakeError, match=r"missing\.hdr: there is no such file"):
-        kitchen.run("ball.glb", "-o", "new", "--material", "jade", "--size", "5cm", "--light", "missing.hdr")
+        stand_ins.run("ball.glb", "-o", "new", "--material", "jade", "--size", "5cm", "--light", "missing.hdr")
     with pytest.raises(typer.BadParameter, match="would look like stone; add its size") as error:
-        kitchen.run("ball.glb", "-o", "new", "--material", "jade")
+        stand_ins.run("ball.glb", "-o", "new", "--material", "jade")
     assert not Path("new").exists()
     assert "such as --size 6cm (--size 2000mm keeps it)" in str(error.value)
-    assert len(kitchen.run("ball.glb", "-o", "new", "--material", "jade", "--size", "2000mm")) == 4
+    assert len(stand_ins.run("ball.glb", "-o", "new", "--material", "jade", "--size", "2000mm")) == 4
 
 
-def test_clear_and_opaque_objects_get_a_remark_in_every_form(kitchen, capsys):
+def test_clear_and_opaque_objects_get_a_remark_in_every_form(stand_ins, capsys):
     """With the size of a mesh, without it, and as a scene. Without a size nobody has asked for an opaque object."""
     ball = trimesh.load("ball.obj")
     ball.apply_scale(0.002)
     ball.export("tiny.glb")  # 4 mm
     for number, mesh in enumerate((["ball.obj", "--size", "4mm"], ["tiny.glb"])):
-        kitchen.run(mesh[0], "-o", f"clear{number}", "--material", "jade", *mesh[1:])
+        stand_ins.run(mesh[0], "-o", f"clear{number}", "--material", "jade", *mesh[1:])
         scene = f"clear{number}/{mesh[0][:4]}.toml"
         said = capsys.readouterr().err
         remark = f"remark: {scene}: it is almost clear: the transport mean free path is 3.03, 2.25, 3.08 mm in an obj"
         assert said.count(remark) == 1
         assert "here a longest side of 15 to 150 mm, or 3.8 to 38 times the sigma_t (of a material, density)" in said
-        kitchen.run(scene, "-o", f"again{number}")
+        stand_ins.run(scene, "-o", f"again{number}")
         assert remark in capsys.readouterr().err
-    kitchen.run("ball.obj", "-o", "stone", "--material", "jade", "--size", "9m")
+    stand_ins.run("ball.obj", "-o", "stone", "--material", "jade", "--size", "9m")
     assert capsys.readouterr().err.count("stone/ball.toml: it will look opaque") == 1
-    kitchen.run("wax.toml", "-o", "out")
+    stand_ins.run("wax.toml", "-o", "out")
     assert "remark" not in capsys.readouterr().err

@@ -16,7 +16,7 @@ from prt_bake.cli.shared.next_step import command, say_next
 SECONDS = {"train": 660.0, "bake": 200.0, "picture": 8.0, "turntable": 20.0}
 
 
-class Kitchen:
+class StandIns:
     """Commands that write their files, how long each takes, and one that fails after it has written half.
 
     `by_ctrl_c`: a signal stops it. `slow`: a bake takes all its time and has no asset then.
