@@ -13,7 +13,7 @@ from prt_bake.cli.shared.kinds import refuse_other_kinds
 from prt_bake.cli.shared.options import AsJson, optional_output
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
-from prt_bake.cli.shared.test_sets import score_folders
+from prt_bake.cli.shared.test_sets import TOO_SMALL, score_folders
 
 if TYPE_CHECKING:
     from formats.image.exr import Layers
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _MAPS = (".png", ".exr")
 _UNKNOWN = {
-    "ssim": "unknown: it needs pictures of at least 11x11 pixels",
+    "ssim": TOO_SMALL,
     "ssim_quarter": "unknown: it needs pictures of at least 44x44 pixels, and blocks of 4x4 mostly within the mask",
     "relative_rmse": "unknown: the reference is black",
 }

@@ -174,19 +174,8 @@ def test_a_full_disk_is_one_sentence_and_older_output_stays(folder: Path, tmp_pa
         "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (65536, 65536));"
         "from prt_bake.cli.main import main; sys.exit(main(sys.argv[1:]))"
     )
-    command = [
-        "bake",
-        "model.pt",
-        "sphere.ply",
-        "-o",
-        str(output),
-        "--samples",
-        "18",
-        "--lobes",
-        "0",
-        "--storage",
-        "float32",
-    ]
+    options = ["--samples", "18", "--lobes", "0", "--storage", "float32"]
+    command = ["bake", "model.pt", "sphere.ply", "-o", str(output), *options]
     ran = subprocess.run(
         [sys.executable, "-c", program, *command, "--force"], cwd=folder, capture_output=True, text=True, check=False
     )

@@ -79,7 +79,7 @@ class Steps:
             except (PrtbakeError, KeyboardInterrupt, typer.Exit):
                 again = command(*(word for word in self._typed if word != "--force"))
                 say(f"{name} was not finished; finished steps are kept, and this continues with {name}: {again}")
-                if stopped := signals.exit_code(0):  # the step's message names its own --resume, which is not of `make`
+                if stopped := signals.exit_code(0):  # the step's message names its --resume, which `make` lacks
                     raise typer.Exit(stopped) from None
                 raise
             finally:

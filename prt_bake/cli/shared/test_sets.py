@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from prt_bake.olat.score import SetScore
     from prt_bake.olat.settings import OlatSettings
 
+TOO_SMALL = "unknown: it needs pictures of at least 11x11 pixels"
+"""In place of the SSIM of pictures that are smaller than its window."""
+
 
 def write_olat(scene_path: Path, folder: Path, settings: "OlatSettings", skies: list[Path], dry_run: bool) -> None:
     """Print size and time of a test set, and write it unless `dry_run`."""
@@ -86,8 +89,8 @@ def _lines(found: "SetScore") -> list[str]:
     report, lines = found.as_json(), []
     for metric in ("mse", "psnr", "ssim", "flip"):
         measured = report["measured"][metric]["value"]
-        if measured != measured:  # pictures are smaller than the window of SSIM
-            lines.append(f"{metric:<5} unknown: it needs pictures of at least 11x11 pixels")
+        if measured != measured:  # SSIM alone can be unknown
+            lines.append(f"{metric:<5} {TOO_SMALL}")
             continue
         line = f"{metric:<5} {measured:<10.4g}"
         free, noise = report["noise_free"][metric], report["of_noise"][metric]
