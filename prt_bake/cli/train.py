@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from formats.errors import PrtbakeError
+from formats.errors import ModelError, PrtbakeError
 from formats.extras import EVALUATE, missing_sentence
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.next_step import command, say_next, unused
@@ -18,6 +18,7 @@ from prt_bake.cli.shared.progress import reporting, say, stopping
 from prt_bake.network.file_names import importance_path, report_paths, state_path
 
 if TYPE_CHECKING:
+    from prt_bake.network.bssrdf import NeuralBSSRDF
     from prt_bake.network.model import Model
     from prt_bake.trainer.train import TrainingProgress
 
@@ -65,6 +66,15 @@ def train(
         ),
     ] = None,
     mend: Mend = False,
+    start: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="EARLIER.pt",
+            help="Start from a model of the object with another material, size or detail: takes far less time.",
+            show_default=False,
+        ),
+    ] = None,
     samples: Annotated[
         Path | None,
         typer.Option(
@@ -98,13 +108,14 @@ def train(
     module, from which `prtbake render` draws light directions.
     """
     began = time.perf_counter() - _START_AND_END
-    _refuse_ineffective(context, baseline, light)
+    _refuse_ineffective(context, baseline, light, start)
     outputs: dict[str, Paths] = {"--output": output, "the checkpoint": state_path(output)}
     outputs |= {"--report": report_paths(output)} if with_report else {}
     outputs |= {"--importance": importance_path(output)} if with_importance else {}
-    check_outputs(outputs, {"SCENE": scene, "--samples": samples, "--light": light})
+    check_outputs(outputs, {"SCENE": scene, "--samples": samples, "--light": light, "--from": start})
     refuse_existing((output, state_path(output), importance_path(output)), force, resume)
-    refuse_other_kinds({"SCENE": (scene, ("scene",)), "--samples": (samples, ("samples",)), "--light": (light, LIGHT)})
+    expected = {"SCENE": (scene, ("scene",)), "--samples": (samples, ("samples",)), "--light": (light, LIGHT)}
+    refuse_other_kinds({**expected, "--from": (start, ("model",))})
     if with_report and (missing := missing_sentence(*EVALUATE)):
         say(f"there will be no report: {missing}; `prtbake report training` writes it later")
         with_report = False
@@ -121,7 +132,8 @@ def train(
 
     fitted: Callable[..., Model]
     if baseline is None:
-        selected, fitted = select_device(device), partial(fit, settings=replace(PRESETS[preset], seed=seed))
+        settings = None if start is not None else replace(PRESETS[preset], seed=seed)
+        selected, fitted = select_device(device), partial(fit, settings=settings, start=_earlier(start))
     else:
         from prt_bake.baselines.door import train_baseline
 
@@ -182,11 +194,17 @@ def train(
     say_next("prtbake", "bake", output, read.mesh_path, "-o", unused(output.with_suffix(".h5")), *on)
 
 
-def _refuse_ineffective(context: typer.Context, baseline: str | None, light: list[str] | None) -> None:
+def _refuse_ineffective(
+    context: typer.Context, baseline: str | None, light: list[str] | None, start: Path | None
+) -> None:
     """Raise typer.BadParameter for options that the chosen model does not have."""
-    preset = context.get_parameter_source("preset")
-    if baseline is not None and preset is not None and preset.name == "COMMANDLINE":
+    source = context.get_parameter_source("preset")
+    preset = source is not None and source.name == "COMMANDLINE"
+    if baseline is not None and preset:
         raise typer.BadParameter("--preset: is for the network; omit it, since a baseline has the published size")
+    if start is not None and (preset or baseline is not None):
+        other = "--preset" if preset else "--baseline"
+        raise typer.BadParameter(f"--from: the model is of the kind of the earlier one; omit {other}")
     if light is None:
         return
     from prt_bake.baselines.door import FROM_PICTURES
@@ -194,6 +212,18 @@ def _refuse_ineffective(context: typer.Context, baseline: str | None, light: lis
     if baseline not in FROM_PICTURES:
         names = " and ".join(FROM_PICTURES)
         raise typer.BadParameter(f"--light: is for --baseline {names}; omit it, since other models learn for all light")
+
+
+def _earlier(path: Path | None) -> "NeuralBSSRDF | None":
+    """The model to start from."""
+    if path is None:
+        return None
+    from prt_bake.network.bssrdf import NeuralBSSRDF, load_model
+
+    model = load_model(path)
+    if not isinstance(model, NeuralBSSRDF):
+        raise ModelError(f"{path}: expected a neural BSSRDF to start from, found {model.kind}; train without --from")
+    return model
 
 
 def _to_go_on(network: "Model") -> str:

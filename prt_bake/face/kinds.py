@@ -385,6 +385,7 @@ OF_FUNCTION: dict[tuple[str, str], Check] = {
     ("render_picture", "layers"): layers,
     ("render_picture", "samples"): at_least(1, 256),
     ("train", "samples"): arguments.path,
+    ("train", "start"): model,
     ("train", "device"): device_name,
     ("estimate_coefficients", "device"): device_name,
 }

@@ -76,6 +76,7 @@ def _model(figures: Figures) -> dict[str, str]:
         "surface": _surface(figures),
         "up": str(figures.get("up", "")),
         "trained": ", ".join(filter(None, trained)),
+        "started from": str(figures.get("started_from", "")),
         "network": f"{figures['weights']:,} weights",
     }
 

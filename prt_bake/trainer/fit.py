@@ -8,7 +8,9 @@ import numpy as np
 
 from formats.scene import Scene
 from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF
+from prt_bake.network.inference.pairs import content_hash
 from prt_bake.network.model import TrainableModel
+from prt_bake.network.starting_weights import refuse_other_layers, start_from
 from prt_bake.tracer.prepared import interface_kind, is_unrefracted
 from prt_bake.tracer.surface.interface import ROUGH
 from prt_bake.trainer.interior import interior_of, is_clear, with_fitting_grid
@@ -32,10 +34,18 @@ class Fit(Protocol):
 class NetworkFit:
     """Fits a neural BSSRDF."""
 
-    def __init__(self, data: TrainingData, settings: NetworkSettings, device: str) -> None:
-        """Measure the interior of the scene's object. Inputs that are useless for the scene are left out."""
+    def __init__(
+        self, data: TrainingData, settings: NetworkSettings, device: str, start: NeuralBSSRDF | None = None
+    ) -> None:
+        """Measure the interior of the scene's object. Inputs that are useless for the scene are left out.
+
+        start: has the weights to begin with.
+        """
+        self._start = start
         self._scene, self._box, self._device, self._on_gpu = data.scene, data.box, device, data.on_gpu
         settings, self._interior = settings_for(settings, data.scene), None
+        if start is not None:
+            refuse_other_layers(settings, start.settings)
         if settings.ray_samples:
             interfaces, material = settings.interfaces > 0, settings.material_channels > 0
             self._interior = interior_of(data.scene, data.box, interfaces, material)
@@ -44,13 +54,19 @@ class NetworkFit:
         self.resume_settings = {
             **{f"network {name}": value for name, value in settings.as_json().items()},
             "interior": "" if self._interior is None else self._interior.content_hash,
+            "start": None if start is None else content_hash(start),
         }
 
     def model(self, output_scale: float) -> NeuralBSSRDF:
         """The network before its first step."""
         box, metadata = self._box, metadata_of(self._scene)
+        if self._start is not None:
+            metadata["started_from"] = _in_words(self._start)
         network = NeuralBSSRDF(self._settings, box.corner, box.side, output_scale, metadata, self._interior)
-        return network.to(self._device).on(self._scene.mesh)
+        network = network.to(self._device).on(self._scene.mesh)
+        if self._start is not None:
+            start_from(network, self._start)
+        return network
 
     def learner(self, model: TrainableModel, learning: LearningSettings) -> Learner:
         """The learner of the device that path traces."""
@@ -87,3 +103,9 @@ def metadata_of(scene: Scene) -> dict[str, Any]:
         "roughness": float(np.mean(scene.roughness)),
         "normals": scene.normals,
     }
+
+
+def _in_words(network: NeuralBSSRDF) -> str:
+    """What a network was trained on, and for how long."""
+    scene, training = network.metadata.get("scene", "unknown scene"), network.metadata.get("training", {})
+    return f"{scene}, {training.get('steps', 0):,} steps"

@@ -3,7 +3,7 @@
 import copy
 import math
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -29,6 +29,8 @@ from prt_bake.trainer.samples.rows import (
     RowSource,
     rays_of,
 )
+
+_RATE_OF_EARLIER_WEIGHTS = 2e-3
 
 Schedule = Literal["cosine", "constant", "exponential"]
 
@@ -95,6 +97,11 @@ class LearningSettings:
         for name, (fits, expected) in valid.items():
             if not fits:
                 raise QueryError(f"learning settings: {name}: expected {expected}, found {getattr(self, name)!r}")
+
+
+def continued(settings: LearningSettings) -> LearningSettings:
+    """The settings for weights of an earlier training, which a high rate would undo."""
+    return replace(settings, rate=_RATE_OF_EARLIER_WEIGHTS, coarse_steps=0)
 
 
 def learning_rate(settings: LearningSettings, share: float) -> float:

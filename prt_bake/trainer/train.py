@@ -42,6 +42,7 @@ def train(
     steps: int | None = None,
     seed: int = 0,
     settings: NetworkSettings | None = None,
+    start: NeuralBSSRDF | None = None,
     device: str = "auto",
     output: str | Path | None = None,
     resume: bool = False,
@@ -65,6 +66,8 @@ def train(
         minutes, steps: length of the complete run, including earlier parts that are resumed.
         seed: seed of the queries, the walks and the network's initial weights.
         settings: the network; by default the preset "measured" with `seed`. `PRESETS["paper"]` is the paper's.
+        start: network to start from, of the same object with another material, or of a similar one. It needs far fewer
+            steps than a new one. Use its seed if you give settings.
         device: "auto" (CUDA if available), "cpu" or "cuda".
         output: path of the model, written once a minute and at the end, with a checkpoint for `resume` beside it.
         resume: continue the run whose checkpoint is beside `output`.
@@ -93,10 +96,17 @@ def train(
     >>> network.metadata["training"]["steps"]
     2
     """
-    chosen = settings or replace(PRESETS["measured"], seed=seed)
+    if start is not None and not isinstance(start, NeuralBSSRDF):
+        raise QueryError(f"start: expected a neural BSSRDF, found {type(start).__name__}; train without it")
+    chosen = settings or replace(PRESETS["measured"], seed=seed if start is None else start.settings.seed)
+
+    def fit(data: TrainingData, device: str) -> NetworkFit:
+        return NetworkFit(data, chosen, device, start)
+
     network = train_model(
         scene,
-        lambda data, device: NetworkFit(data, chosen, device),
+        fit,
+        started=start is not None,
         minutes=minutes,
         steps=steps,
         seed=seed,
@@ -121,6 +131,7 @@ def train_model(
     scene: Scene,
     make: Callable[[TrainingData, str], Fit],
     *,
+    started: bool = False,
     minutes: float = 10.0,
     steps: int | None = None,
     seed: int = 0,
@@ -137,7 +148,10 @@ def train_model(
     stream: StreamSettings | None = None,
     learning: LearningSettings | None = None,
 ) -> TrainableModel:
-    """`train` for any model: `make(data, device)` says what is fitted."""
+    """`train` for any model: `make(data, device)` says what is fitted.
+
+    started: whether its weights are those of an earlier training.
+    """
     refuse_path("scene", scene, "prt.load_scene")
     if minutes <= 0 or (steps is not None and steps < 1):
         raise QueryError(f"train: minutes and steps must be positive, found {minutes:g} and {steps}")
@@ -168,7 +182,7 @@ def train_model(
             values = stream is not None and stream.rays == "values"
             walking = walking_device(chosen, synchronous or values, report)
             data = PathTracedData(scene, stream or stream_for(walking), seed, synchronous, walking)
-        run = Run(data, make(data, chosen), learning or learning_for(data), seed, timed, follow)
+        run = Run(data, make(data, chosen), learning or learning_for(data, started), seed, timed, follow)
         if resume:
             assert output is not None
             run.restore(output)

@@ -8,7 +8,7 @@ from formats.scene import Scene
 from prt_bake.network.model import TrainableModel
 from prt_bake.tracer.prepared import PreparedScene, prepare
 from prt_bake.trainer.cores import alternating_threads, concurrent_threads
-from prt_bake.trainer.learner import LearningSettings
+from prt_bake.trainer.learner import LearningSettings, continued
 from prt_bake.trainer.references import Follow
 from prt_bake.trainer.samples.repeatable import AlternatingRenderer
 from prt_bake.trainer.samples.rows import Box, RowSource, RowTracer, StreamSettings, row_tracer
@@ -122,10 +122,11 @@ def stream_for(device: str) -> StreamSettings:
     return GPU_STREAM
 
 
-def learning_for(data: TrainingData) -> LearningSettings:
-    """The learner's settings for the device that path traces."""
-    if not data.on_gpu:
-        return LearningSettings()
-    from prt_bake.trainer.gpu.learner import GPU_LEARNING
+def learning_for(data: TrainingData, started: bool = False) -> LearningSettings:
+    """The learner's settings for the device that path traces; `started`: for weights of an earlier training."""
+    settings = LearningSettings()
+    if data.on_gpu:
+        from prt_bake.trainer.gpu.learner import GPU_LEARNING
 
-    return GPU_LEARNING
+        settings = GPU_LEARNING
+    return continued(settings) if started else settings

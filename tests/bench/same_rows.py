@@ -15,11 +15,12 @@ import numpy as np
 import torch
 
 from formats.scene import Scene, read_scene
-from prt_bake.network.bssrdf import PRESETS, NeuralBSSRDF
+from prt_bake.network.bssrdf import PRESETS, NeuralBSSRDF, load_model
+from prt_bake.network.starting_weights import start_from
 from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.fit import settings_for
 from prt_bake.trainer.interior import interior_of, with_fitting_grid
-from prt_bake.trainer.learner import Learner, LearningSettings
+from prt_bake.trainer.learner import Learner, LearningSettings, continued
 from prt_bake.trainer.samples.rows import Batch, ExitTracer, StreamSettings
 from prt_bake.trainer.training_data import box_of
 from prt_bake.trainer.validation import HeldOutCoefficients, hold_out_coefficients, network_coefficients
@@ -68,15 +69,19 @@ def main() -> None:
     parser.add_argument("--queries", type=int, default=614_400)
     parser.add_argument("--paths", type=int, default=32, help="per query")
     parser.add_argument("--rays", type=int, default=24, help="that represent the paths of a query")
+    parser.add_argument("--start", type=Path, help="model that every network starts from, with the settings for that")
     parser.add_argument("--walks", type=int, default=8192, help="of each of the 1,000 queries of the reference")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     scene = read_scene(arguments.scene)
     reference = hold_out_coefficients(scene, 1000, arguments.walks, 777, 512)
     rows = traced_rows(scene, arguments.queries, StreamSettings(exits=arguments.paths, kept=arguments.rays))
+    start = None if arguments.start is None else load_model(arguments.start)
+    if start is not None:
+        print(f"{arguments.start}: {errors(start.on(scene.mesh), reference)}", flush=True)
     for name in arguments.variants:
         begun = time.perf_counter()
-        network, steps = trained(scene, rows, reference.scale(), VARIANTS[name])
+        network, steps = trained(scene, rows, reference.scale(), VARIANTS[name], start)
         seconds = time.perf_counter() - begun
         print(f"{name:52s} {steps} steps, {seconds:4.0f} s, {errors(network, reference)}", flush=True)
 
@@ -89,13 +94,17 @@ def traced_rows(scene: Scene, count: int, settings: StreamSettings) -> Array:
     return np.concatenate(blocks)
 
 
-def trained(scene: Scene, rows: Array, scale: float, variant: Variant) -> tuple[NeuralBSSRDF, int]:
+def trained(scene: Scene, rows: Array, scale: float, variant: Variant, start: Any = None) -> tuple[NeuralBSSRDF, int]:
     """The network of a variant after one pass over its rows, and its steps."""
     box, settings = box_of(scene), replace(settings_for(PRESETS["measured"], scene), **variant.network)
     interior = interior_of(scene, box, with_meshes=True, with_material=settings.material_channels > 0)
     settings = replace(with_fitting_grid(settings, interior), **variant.network)
     network = NeuralBSSRDF(settings, box.corner, box.side, scale, {"normals": scene.normals}, interior)
-    learner = Learner(network.on(scene.mesh), replace(LearningSettings(bfloat16=False), **variant.learning))
+    learning = LearningSettings(bfloat16=False)
+    if start is not None:
+        start_from(network, start)
+        learning = continued(learning)
+    learner = Learner(network.on(scene.mesh), replace(learning, **variant.learning))
     batch, generator = learner.settings.batch, np.random.default_rng(0)
     source: Any = _Rows()
     steps = int(variant.share * len(rows)) // batch

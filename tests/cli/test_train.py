@@ -25,7 +25,8 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small network."""
     small = NetworkSettings(features=8, width=16, layers=2, skips=(), directions="cartesian")
     monkeypatch.setattr("prt_bake.network.settings.PRESETS", {"measured": small})
-    monkeypatch.setattr(train, "learning_for", lambda _data: FEW)
+    monkeypatch.setattr(train, "PRESETS", {"measured": small})
+    monkeypatch.setattr(train, "learning_for", lambda _data, _started: FEW)
 
 
 def test_minutes_end_with_a_sentence_on_quality_and_parts_without_time_are_left_out(
@@ -73,3 +74,34 @@ def test_ctrl_c_in_the_report_leaves_out_the_rest(
     assert "no report: stopped; to write it later, run `prtbake report training " in trained.err
     assert "the model is complete, and what should follow it was stopped" in trained.err
     assert {path.name for path in tmp_path.iterdir()} == {"m.pt", "m.train.pt"}
+
+
+def test_a_training_starts_from_an_earlier_model(prtbake: Run, tmp_path: Path) -> None:
+    first, second = tmp_path / "first.pt", tmp_path / "second.pt"
+    fast = ("--steps", 2, "--no-report", "--no-importance")
+    assert prtbake("train", "scene.toml", "-o", first, *fast, "--seed", 3).code == 0
+    trained = prtbake("train", "scene.toml", "-o", second, *fast, "--from", first)
+    assert trained.code == 0, trained.err
+    model = load_model(second)
+    assert (model.metadata["started_from"], model.settings.seed) == ("scene.toml, 2 steps", 3)
+    assert "started from               scene.toml, 2 steps" in prtbake("info", second).out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fault"),
+    [
+        (("--from", "model.pt", "--preset", "paper"), "omit --preset"),
+        (("--from", "model.pt", "--baseline", "neumip"), "omit --baseline"),
+        (("--from", "scene.toml"), "expected a model (--from), found a scene"),
+        (("--from", "model.pt"), "the network to start from has features 8"),
+    ],
+)
+def test_what_a_training_cannot_start_from(
+    prtbake: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], fault: str
+) -> None:
+    wide = NetworkSettings(features=12, width=16, layers=2, skips=(), directions="cartesian")
+    monkeypatch.setattr(train, "PRESETS", {"measured": wide})
+    refused = prtbake("train", "scene.toml", "-o", tmp_path / "m.pt", "--steps", 1, *arguments)
+    assert refused.code != 0
+    assert fault in " ".join(refused.err.split())
+    assert not (tmp_path / "m.pt").exists()

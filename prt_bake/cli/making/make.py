@@ -57,6 +57,10 @@ def make(
     ] = None,
     material: MaterialName = None,
     size: ObjectSize = None,
+    start: Annotated[
+        Path | None,
+        typer.Option("--from", metavar="EARLIER.pt", help="Start from a model of the object, as of train."),
+    ] = None,
     light: Annotated[
         list[str] | None,
         typer.Option(
@@ -83,10 +87,11 @@ def make(
     from prt_bake.inspection.scene import appearance_remark
 
     scene.stat()  # a file that is not there is reported before any folder is made
-    refuse_other_kinds({"SCENE": (scene, ("scene", "mesh")), "--light": (light, LIGHT)})
+    refuse_other_kinds({"SCENE": (scene, ("scene", "mesh")), "--light": (light, LIGHT), "--from": (start, ("model",))})
     path, draft = _scene_file(scene, folder, material, size, force)
     lights = _lights(light, draft or _read(path))
-    check_outputs({"--output": [folder / name for name in all_names()]}, {"SCENE": scene, "--light": light}, folder)
+    inputs = {"SCENE": scene, "--light": light, "--from": start}
+    check_outputs({"--output": [folder / name for name in all_names()]}, inputs, folder)
     with only_run(folder):
         if draft is not None:
             if not force:
@@ -95,13 +100,14 @@ def make(
         read = _read(path)
         if remark := appearance_remark(read):
             say(f"remark: {path}: {remark}")
-        settings = {"scene": path.name, "scene_hash": read.content_hash}
+        start_hash = None if start is None else sha256(start)
+        settings = {"scene": path.name, "scene_hash": read.content_hash, "start_hash": start_hash}
         options = ["--tone-map", tone_map, *(["--exposure", f"{exposure:g}"] if exposure else [])]
         options += ["--view", side] if side else []
         files = [sha256(name) for name in light or () if Path(name).is_file()]
         pictures = {"light": ", ".join(light) if light else _USUAL_LIGHT, "light_files": files, "options": options}
         record = Record.open(folder, settings, pictures, minutes, force)
-        Steps(context, record, path, _short(read.mesh_path), lights).run()
+        Steps(context, record, path, _short(read.mesh_path), lights, start).run()
         record.figures = figures(folder)
         record.write()
         write_page(record)

@@ -97,6 +97,12 @@ class Record:
         except (ValueError, KeyError, TypeError, AttributeError) as cause:
             raise FormatError(f"{path}: was not written by `prtbake make`, or is damaged; {again}") from cause
         for name, value in wanted.items():
+            if record.settings.get(name) != value and name == "scene_hash":
+                raise StorageError(
+                    f"{folder}: was made when mesh, material or interface of {record.settings['scene']} were others; "
+                    f"choose another folder, where --from {folder / MODEL} saves most of the training, or add --force "
+                    "to make everything anew"
+                )
             if record.settings.get(name) != value:
                 raise StorageError(
                     f"{folder}: was made with {name} {record.settings.get(name)!r}, found {value!r}; {again}"

@@ -52,8 +52,17 @@ class _OutOfTimeError(Exception):
 class Steps:
     """Runs the steps that a folder does not have yet."""
 
-    def __init__(self, context: typer.Context, record: Record, scene: Path, mesh: Path, lights: list[str]) -> None:
-        """`record` has the settings, the time, and what earlier runs spent of it."""
+    def __init__(
+        self,
+        context: typer.Context,
+        record: Record,
+        scene: Path,
+        mesh: Path,
+        lights: list[str],
+        start: Path | None = None,
+    ) -> None:
+        """`record` has the settings, the time, and what earlier runs spent of it; `start` is an earlier model."""
+        self._start = [] if start is None else ["--from", str(start)]
         self._root, self._typed = context.find_root().command, shlex.split(context.obj)
         self._record, self._scene, self._mesh, self._lights = record, scene, mesh, lights
         self._total = 60.0 * record.minutes
@@ -96,7 +105,7 @@ class Steps:
         model = self._file(MODEL)
         lost = self._record.spent - self._record.kept
         usable = max(self._total - lost, _LEAST_USABLE * self._total)
-        arguments = ["train", str(self._scene), "-o", model, "--minutes", _minutes(TRAINING * usable)]
+        arguments = ["train", str(self._scene), "-o", model, "--minutes", _minutes(TRAINING * usable), *self._start]
         for path in report_paths(model):  # of a shorter training
             path.unlink(missing_ok=True)
         self._run("train", arguments, model_files(), state_path(Path(model)))

@@ -25,7 +25,7 @@ class StandIns:
     def __init__(self, asset):
         self.asset, self.seconds, self.now = asset, dict(SECONDS), 0.0
         self.calls, self.broken, self.slow, self.frame, self.part = [], "", False, 4.0, 1.0
-        self.by_ctrl_c = False
+        self.by_ctrl_c, self.start = False, None
         self.app = typer.Typer()
         for function in (make, self.train, self.bake, self.shade):
             self.app.command(function.__name__)(function)
@@ -58,7 +58,9 @@ class StandIns:
         output: Annotated[Path, typer.Option("-o")],
         minutes: float = 0.0,
         resume: Annotated[bool, typer.Option("--resume")] = False,
+        start: Annotated[Path | None, typer.Option("--from")] = None,
     ) -> None:
+        self.start = start
         output.with_name("model.train.pt").write_bytes(b"state")
         self.finish("train", output, minutes, resume)
         output.with_name("model.report.html").write_text("report")

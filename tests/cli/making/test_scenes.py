@@ -14,7 +14,7 @@ def test_another_scene_or_foreign_files_are_refused(stand_ins):
     stand_ins.run("wax.toml", "-o", "out")
     text = Path("wax.toml").read_text()
     Path("wax.toml").write_text(text.replace("density = 1.0", "density = 2.0"))
-    with pytest.raises(PrtbakeError, match=r"out: was made with scene_hash .* choose another folder, or add --force"):
+    with pytest.raises(PrtbakeError, match=r"out: was made when .* --from out/model\.pt saves .* add --force"):
         stand_ins.run("wax.toml", "-o", "out")
     Path("wax.toml").write_text(text)
     stand_ins.seconds |= {"train": 150.0, "bake": 40.0}
@@ -84,3 +84,16 @@ def test_clear_and_opaque_objects_get_a_remark_in_every_form(stand_ins, capsys):
     assert capsys.readouterr().err.count("stone/ball.toml: it will look opaque") == 1
     stand_ins.run("wax.toml", "-o", "out")
     assert "remark" not in capsys.readouterr().err
+
+
+def test_a_model_to_start_from_reaches_the_training_and_belongs_to_the_folder(stand_ins):
+    earlier = Path("earlier.pt")
+    earlier.write_bytes(b"weights")
+    stand_ins.run("wax.toml", "-o", "out", "--from", earlier)
+    assert stand_ins.start == earlier
+    assert stand_ins.run("wax.toml", "-o", "out", "--from", earlier) == []
+    with pytest.raises(PrtbakeError, match=r"out: was made with start_hash '.*', found None; choose another folder"):
+        stand_ins.run("wax.toml", "-o", "out")
+    with pytest.raises(PrtbakeError, match="--from"):
+        stand_ins.run("wax.toml", "-o", "out", "--from", "out/model.pt", "--force")
+    assert Path("out/model.pt").read_bytes() == b"half"
