@@ -15,10 +15,14 @@ _LOSS = 1e-3
 """How far lossy compression takes values out of their range."""
 _GREY = 0.02
 """Largest difference between the channels of a grey image: a JPEG is off by a few codes of 255."""
+_LEAST_ALPHA = 0.01
+"""The boundary of a texture is rough everywhere: at an alpha of 0 the density of a facet is infinite."""
 
 
 def read_roughness_texture(scene_path: Path, key: str, name: str) -> NDArray[np.float64]:
-    """Read GGX alphas float64 [H,W] from 0 to 1, row 0 on top: the first channel as data, without the sRGB curve.
+    """Read GGX alphas float64 [H,W] from 0.01 to 1, row 0 on top: the first channel as data, without the sRGB curve.
+
+    Lower ones, from 0 on, are raised to 0.01.
 
     Args:
         scene_path: the scene file; `name` is relative to its folder.
@@ -31,7 +35,7 @@ def read_roughness_texture(scene_path: Path, key: str, name: str) -> NDArray[np.
         StorageError: the file is missing.
     """
     path = named_file(scene_path, name)
-    return _check_range(scene_path, key, path, read_roughness(path))
+    return np.maximum(_check_range(scene_path, key, path, read_roughness(path)), _LEAST_ALPHA)
 
 
 def read_roughness(path: str | os.PathLike[str]) -> NDArray[np.float64]:

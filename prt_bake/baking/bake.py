@@ -85,8 +85,8 @@ def bake(
         rings, sectors: view bins of the hemisphere about each vertex normal.
         directions: "fibonacci" (fitted by least squares), "sobol" or "uniform" (summed with equal weights).
         samples: directions per bin, or random walks if the transport estimates coefficients itself. Without samples,
-            error and minutes the bake goes to an error of 2 %; with other directions than "fibonacci", and with random
-            walks, it takes 64 samples, or 2K if that is more.
+            error and minutes the bake goes to an error of 2 %; with random walks it takes 64 samples, with other
+            directions than "fibonacci" 64, or 2K if that is more.
         error: requested relative RMSE of the coefficients, of the object and of the 95th percentile of its vertices.
             With "fibonacci" directions the bake is adaptive (`prt_bake.baking.adaptive.run`): `samples` is ignored,
             each bin gets as many directions as it needs, and smooth bins are interpolated from their neighbours. With

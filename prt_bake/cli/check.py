@@ -11,7 +11,11 @@ from prt_bake.cli.shared.next_step import say_next_of_file
 
 def check(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Mesh, picture, scene, lights, model, asset or samples.")
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            help="Mesh, picture, scene, lights, model, importance module, ONNX function, asset or samples.",
+        ),
     ],
 ) -> None:
     """Print every fault of a file.

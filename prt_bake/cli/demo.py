@@ -16,7 +16,7 @@ from prt_bake.cli.shared.progress import bake_progress, reporting, stopping
 def demo(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write to.")] = Path("demo"),
     quality: Annotated[
-        Literal["quick", "fine"], typer.Option(help="quick: about a minute; fine: smaller errors, larger picture.")
+        Literal["quick", "fine"], typer.Option(help="quick: about 2 minutes; fine: smaller errors, larger picture.")
     ] = "quick",
     workers: Annotated[
         int | None, typer.Option(min=1, max=1024, help="Threads; by default one per core.", show_default=False)

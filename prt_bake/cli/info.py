@@ -16,7 +16,11 @@ _LONGEST_LIST = 100
 
 def info(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Mesh, picture, scene, lights, model, asset or samples.")
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            help="Mesh, picture, scene, lights, model, importance module, ONNX function, asset or samples.",
+        ),
     ],
     all_figures: Annotated[bool, typer.Option("--all", help="Print every figure and setting in the file.")] = False,
     as_json: AsJson = False,

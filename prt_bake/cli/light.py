@@ -1,12 +1,12 @@
 """`prtbake light`: projects an environment on spherical harmonics."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
-from prt_bake.cli.shared.options import AsJson, Mend, Rotate, Up
+from prt_bake.cli.shared.options import AsJson, Mend, Rotate
 from prt_bake.cli.shared.progress import say
 
 _ROWS_FOR_SUNS = 2048
@@ -21,7 +21,7 @@ def light(
         ),
     ],
     degree: Annotated[int, typer.Option(min=0, max=20, help="Highest SH degree l.")] = 2,
-    up: Up = None,
+    up: Annotated[Literal["y", "z"], typer.Option(help="Axis of the sky that points up.")] = "y",
     rotate: Rotate = 0.0,
     mend: Mend = False,
     as_json: AsJson = False,
@@ -38,9 +38,8 @@ def light(
     from prt_bake.lights.lighting import read_lighting
     from prt_bake.lights.sun_detection import split_suns
 
-    axis = up or "y"
     # Suns of a larger sky are found in a downsampled copy, made while its coefficients are summed.
-    lighting = read_lighting([environment], axis, rotate, mend=mend, say=say, most_rows=_ROWS_FOR_SUNS, degree=degree)
+    lighting = read_lighting([environment], up, rotate, mend=mend, say=say, most_rows=_ROWS_FOR_SUNS, degree=degree)
     coefficients, skies = project_lighting(lighting, degree), [split_suns(sky) for sky in lighting.skies]
     found = [pair for sky in skies for pair in zip(sky.suns, sky.shares, strict=True)]
     if as_json:
@@ -53,7 +52,7 @@ def light(
             }
             for sun, share in found
         ]
-        result = {"up": axis, "degree": degree, "rotate": rotate, "coefficients": coefficients.tolist(), "suns": suns}
+        result = {"up": up, "degree": degree, "rotate": rotate, "coefficients": coefficients.tolist(), "suns": suns}
         print(as_text(result))
         return
     print(f"{'l':>2} {'m':>3} {'R':>14} {'G':>14} {'B':>14}")

@@ -36,8 +36,8 @@ def train(
         typer.Option(
             min=1e-3,
             max=1e6,
-            help="Wall time, 1 or more, with report and importance module; longer only if kernels are compiled first, "
-            "since learning keeps half of it. Includes earlier runs that --resume continues.",
+            help="Wall time, with report and importance module. Less than 1 is exceeded, and more if kernels are "
+            "compiled first, since learning keeps half of it. Includes earlier runs that --resume continues.",
         ),
     ] = 10.0,
     steps: Annotated[
@@ -79,7 +79,7 @@ def train(
         Path | None,
         typer.Option(
             metavar="SAMPLES.h5",
-            help="Learn from a file that `prtbake sample` wrote, without path tracing.",
+            help="Learn from a file that `prtbake sample` wrote, in place of path tracing.",
             show_default=False,
         ),
     ] = None,

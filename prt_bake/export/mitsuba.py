@@ -24,7 +24,6 @@ from prt_bake.geometry.nesting import TOLERANCE, distances, protruding_parts, wi
 
 _SMOOTHEST = 1e-4
 """Below this alpha a boundary is smooth, as in the path tracer."""
-_LEAST_TEXTURED_ALPHA = 0.01
 _EVENTS_WITHOUT_ROULETTE = 2000
 """Mitsuba's Russian roulette after 5 events multiplies the variance if the albedo is near 1."""
 
@@ -166,8 +165,7 @@ def _boundary(part: Part, around: float, stem: Path) -> dict[str, Any]:
         return {"type": "null"}
     indices = {"int_ior": float(part.eta), "ext_ior": float(around)}
     if isinstance(part.roughness, np.ndarray):
-        alphas = np.maximum(part.roughness, _LEAST_TEXTURED_ALPHA)
-        alpha: Any = _image(np.repeat(alphas[..., None], 3, axis=2), stem.with_name(f"{stem.name}_alpha.exr"))
+        alpha: Any = _image(np.repeat(part.roughness[..., None], 3, axis=2), stem.with_name(f"{stem.name}_alpha.exr"))
     elif part.roughness < _SMOOTHEST:
         return {"type": "dielectric", **indices}
     else:

@@ -73,8 +73,8 @@ def train(
         resume: continue the run whose checkpoint is beside `output`.
         synchronous: renderer and learner take turns instead of running concurrently. `steps`, `seed` and the settings
             then determine every bit of the weights, on any number of cores, resumed or not; products are in float32.
-        samples: file of samples (`record_samples`) to learn from in repeated passes. Only validation and test queries
-            are path traced then.
+        samples: file of samples (`record_samples`) to learn from in repeated passes. Only the queries of
+            the final errors are path traced then.
         progress: called with a `TrainingProgress` every few seconds. A KeyboardInterrupt, also one raised here, ends
             the training early and keeps what was learned; the final errors are not measured then.
         say: called with sentences about what is being done.

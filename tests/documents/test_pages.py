@@ -4,6 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from prt_bake.trainer.learner import LearningSettings
+from prt_bake.trainer.report.picture import FLIP
+from prt_bake.trainer.report.quality import LEVELS
+from prt_bake.trainer.report.summary import COEFFICIENTS, COEFFICIENTS_PLAIN, WHITE_SKY
+from prt_bake.trainer.samples.rows import StreamSettings
 from tests import ROOT
 from tests.documents.checks import command_faults, file_faults, link_faults, long_lines, python_faults
 from tests.documents.commands import name, pages
@@ -57,6 +62,25 @@ def test_the_site_has_every_page() -> None:
         if (ROOT / "docs") in path.parents
     ]
     assert [page for page in site if page not in contents] == ["index"]
+
+
+def test_the_page_of_the_network_has_the_settings_of_a_training() -> None:
+    text = " ".join((ROOT / "docs/explanation/network.md").read_text(encoding="utf-8").split())
+    learning, stream = LearningSettings(), StreamSettings()
+    assert f"{learning.spread} uniform directions, the second from exits" in text
+    assert f"the first {learning.coarse_steps} steps use a third of the rays" in text
+    assert f"{stream.least_exits} to {stream.exits} paths per query" in text
+    assert f"by {stream.kept} rays" in text
+    assert f"Batches stay at {learning.batch} queries" in text
+
+
+def test_the_page_of_trainings_has_the_bounds_of_their_criteria() -> None:
+    text = (ROOT / "docs/how_to/training.md").read_text(encoding="utf-8")
+    assert f"| {100 * COEFFICIENTS:g} %; {100 * COEFFICIENTS_PLAIN:g} % for a homogeneous" in text
+    assert f"over views | {100 * WHITE_SKY:g} % |" in text
+    assert f"from behind | {FLIP:g} |" in text
+    for bound, words in LEVELS[:-1]:
+        assert f"| {100 * bound:g} % | {words.removeprefix('good for ')} |" in text
 
 
 @pytest.mark.statistics

@@ -1,5 +1,6 @@
 """docs/reference/scene_files.md agrees with the schema of scene files."""
 
+import json
 import re
 import tomllib
 from typing import Any
@@ -33,3 +34,13 @@ def test_every_key_appears_in_an_example_and_in_a_table(table: Any) -> None:
         key = field.alias or name
         assert re.search(rf"^(?:{key} = |\[+(?:\w+\.)?{key}\])", text, re.MULTILINE), key
         assert re.search(rf"^\|.*`{key}`.*\|$|^## \[+(?:\w+\.)?{key}\]", TEXT, re.MULTILINE), key
+
+
+@pytest.mark.parametrize("table", [ObjectTable, InterfaceTable, MediumTable, MixTable])
+def test_tables_have_the_defaults(table: Any) -> None:
+    defaults = {key: field.default for key, field in table.model_fields.items() if not field.is_required()}
+    for key, default in defaults.items():
+        if default is not None:
+            cells = re.findall(rf"^\|[^|]*`{key}`.*\| ([^|]*) \|$", TEXT, re.MULTILINE)
+            words = f"{default:g}" if isinstance(default, float) else json.dumps(default)  # as TOML writes it
+            assert any(re.search(rf"(?<!\S){re.escape(words)}(?![\w.])", cell) for cell in cells), (key, cells)

@@ -26,6 +26,13 @@ def test_roughness_is_the_stored_value_and_reflectance_is_not(tmp_path: Path, su
     np.testing.assert_allclose(reflectance, to_linear(np.array(128 / 255)), rtol=1e-6)
 
 
+def test_alphas_that_no_rough_boundary_has_are_raised(tmp_path: Path) -> None:
+    stored = np.array([[0.0, 0.005], [0.01, 1.0]], np.float32)
+    OpenEXR.File(dict(HEADER), {"Y": stored}).write(str(tmp_path / "a.exr"))
+    roughness = read_roughness_texture(tmp_path / SCENE, "roughness", "a.exr")
+    np.testing.assert_allclose(roughness, [[0.01, 0.01], [0.01, 1.0]], rtol=1e-6)
+
+
 def test_statements_about_colour_do_not_concern_roughness(tmp_path: Path) -> None:
     stored = np.full((4, 4), 0.5, np.float32)
     channels = {"R": stored, "G": np.zeros_like(stored), "B": np.zeros_like(stored)}
@@ -77,10 +84,10 @@ def test_reflectances_outside_rec709_are_clipped_to_it(tmp_path: Path) -> None:
 def test_what_lossy_compression_adds_is_clipped(tmp_path: Path) -> None:
     levels = np.linspace(-0.0009, 1.0009, 16, dtype=np.float32).reshape(4, 4)
     OpenEXR.File(dict(HEADER), dict.fromkeys("RGB", levels)).write(str(tmp_path / "a.exr"))
-    for reader in (read_roughness_texture, read_reflectance_texture):
+    for reader, least in ((read_roughness_texture, 0.01), (read_reflectance_texture, 0.0)):
         with pytest.warns(InputWarning, match="values are outside 0 to 1, by less than 0.001, and are clipped"):
             texture = reader(tmp_path / SCENE, "key", "a.exr")
-        np.testing.assert_array_equal(texture.reshape(4, 4, -1)[..., 0], np.clip(levels, 0.0, 1.0))
+        np.testing.assert_allclose(texture.reshape(4, 4, -1)[..., 0], np.clip(levels, least, 1.0), rtol=1e-6)
 
 
 def test_a_fault_stays_a_fault(tmp_path: Path) -> None:
