@@ -77,7 +77,7 @@ def main() -> None:
     reference = hold_out_coefficients(scene, 1000, arguments.walks, 777, 512)
     rows = traced_rows(scene, arguments.queries, StreamSettings(exits=arguments.paths, kept=arguments.rays))
     start = None if arguments.start is None else load_model(arguments.start)
-    if start is not None:
+    if start is not None and start.box_min.tolist() == box_of(scene).corner.tolist():
         print(f"{arguments.start}: {errors(start.on(scene.mesh), reference)}", flush=True)
     for name in arguments.variants:
         begun = time.perf_counter()

@@ -18,6 +18,7 @@ from tests.cli.command_line import Run
 from tests.trainer.small_training import LEARNING
 
 FEW = replace(LEARNING, held_out_queries=16, held_out_walks=16)
+CONTINUED = replace(FEW, rate=0.001)
 
 
 @pytest.fixture(autouse=True)
@@ -26,7 +27,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     small = NetworkSettings(features=8, width=16, layers=2, skips=(), directions="cartesian")
     monkeypatch.setattr("prt_bake.network.settings.PRESETS", {"measured": small})
     monkeypatch.setattr(train, "PRESETS", {"measured": small})
-    monkeypatch.setattr(train, "learning_for", lambda _data, _started: FEW)
+    monkeypatch.setattr(train, "learning_for", lambda _data, started: CONTINUED if started else FEW)
 
 
 def test_minutes_end_with_a_sentence_on_quality_and_parts_without_time_are_left_out(
@@ -84,6 +85,7 @@ def test_a_training_starts_from_an_earlier_model(prtbake: Run, tmp_path: Path) -
     assert trained.code == 0, trained.err
     model = load_model(second)
     assert (model.metadata["started_from"], model.settings.seed) == ("scene.toml, 2 steps", 3)
+    assert model.metadata["training"]["learning"]["rate"] == CONTINUED.rate
     assert "started from               scene.toml, 2 steps" in prtbake("info", second).out
 
 
