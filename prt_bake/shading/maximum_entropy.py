@@ -88,7 +88,8 @@ def radiance_gradient(
     energy, means = _means(values)
     harmonics = sh.evaluate(directions, degree)[:, 1:]
     gradient, radiance = np.zeros(means.shape), np.empty(len(means))
-    multipliers, logarithm = transport.multipliers.reshape(means.shape), transport.logarithm.ravel()
+    # Copies: kernels are compiled once more for arrays that cannot be written, such as broadcast ones.
+    multipliers, logarithm = np.array(transport.multipliers).reshape(means.shape), transport.logarithm.flatten()
     suns = np.ascontiguousarray(
         np.broadcast_to(np.asarray(irradiance, np.float64).T, (count, channels, len(harmonics)))
     ).reshape(len(means), -1)
