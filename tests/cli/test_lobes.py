@@ -70,7 +70,7 @@ def test_refusals(prtbake: Run, arguments: list[str], sentence: str, tmp_path: P
 
 
 def test_a_dry_run_states_the_cost_of_lobes(prtbake: Run) -> None:
-    outcome = prtbake("bake", "model.pt", "sphere.ply", "--rings", 8, "--sectors", 16, "--dry-run")
+    outcome = prtbake("bake", "model.pt", "sphere.ply", "--rings", 4, "--sectors", 8, "--dry-run")
     assert '"lobes_in_a_view"' in outcome.out
     assert '"bytes"' in outcome.out
     hurried = prtbake("bake", "model.pt", "sphere.ply", "--error", 0.2, "--minutes", 1e-4, "--dry-run")
