@@ -46,7 +46,6 @@ def pytest_collection() -> Iterator[None]:
 
 def pytest_collection_finish() -> None:
     """Exclude all objects created so far from garbage collection; they live until the end."""
-    gc.collect()
     gc.freeze()
 
 
