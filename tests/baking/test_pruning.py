@@ -228,15 +228,15 @@ def test_invalid_pruning_arguments_raise() -> None:
 
 def test_the_plan_lists_pruned_items_and_their_saving() -> None:
     mesh, _inside = nested(1.0, 0.5)
-    plan = baking.plan(Edged(), mesh, error=0.02, leave_out=baking.ITEMS)
+    plan = baking.plan(Edged(), mesh, **SMALL, error=0.02, leave_out=baking.ITEMS)
     assert {item.item for item in plan.left_out} == {"unseen", "views"}
     assert plan.vertices == 42
     assert plan.raw_bytes == 42 * 9 * 3 * 2
-    whole = baking.plan(Edged(), mesh, error=0.02)
+    whole = baking.plan(Edged(), mesh, **SMALL, error=0.02)
     assert plan.evaluations < 0.75 * whole.evaluations
     assert whole.left_out == []
-    kept = baking.plan(Edged(), mesh, samples=64, leave_out=["unseen"])
-    assert kept.evaluations == 42 * 1024 * 64
+    kept = baking.plan(Edged(), mesh, **SMALL, samples=64, leave_out=["unseen"])
+    assert kept.evaluations == 42 * 256 * 64
 
 
 def test_the_plan_predicts_evaluations_with_pruning() -> None:

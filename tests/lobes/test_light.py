@@ -62,7 +62,7 @@ def test_a_constant_sky_adds_nothing() -> None:
 @pytest.mark.parametrize("degrees", [5.0, 11.0, 30.0])
 def test_suns_are_those_of_a_sky_with_a_disc(degrees: float) -> None:
     sun = read_lighting(f"sun:0.3,0.5,1:2,3,4:{degrees}")
-    prepared = lobe_light(sun, 2, 0.3, 150.0)
+    prepared = lobe_light(sun, 2, 0.3, 110.0)
     assert len(prepared.directions) == (degrees <= 12.0)
     towards = sun.suns[0].direction
     axes = np.stack([towards, *(towards + 0.2 * (AXES[:20] - towards))])
