@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 CHILD = """
 import os
 import numpy as np
@@ -45,6 +47,7 @@ def printed(work: str) -> list[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout.splitlines()
 
 
+@pytest.mark.usefixtures("compiled_kernels")
 def test_networks_and_paths_are_computed_in_a_forked_process_and_shading_is_refused() -> None:
     of_network, of_paths, message, of_shading = printed(NETWORK + PATHS + SHADING)
     assert (of_network, of_paths, of_shading) == ("0", "0", "3")
