@@ -50,7 +50,10 @@ def reconstruct_compact(
 ) -> None:
     """Set radiance [n,3] of `vertices` [n] under light [K,3], as `reconstruction.reconstruct`."""
     channels = compact.channels.astype(np.float64)
-    basis_light = compact.step * np.einsum("jkc,kc->jc", np.broadcast_to(channels, (*channels.shape[:2], 3)), light)
+    # The sum may be laid out by columns, for which the kernel would be compiled again.
+    basis_light = compact.step * np.einsum(
+        "jkc,kc->jc", np.broadcast_to(channels, (*channels.shape[:2], 3)), light, order="C"
+    )
     if compact not in _LAYOUTS:
         _LAYOUTS[compact] = arrange(compact)
     _reconstruct(tuple(_LAYOUTS[compact]), basis_light, vertices, tuple(places), sectors, radiance)

@@ -86,9 +86,10 @@ def radiance_gradient(
     values = np.asarray(coefficients, np.float64)
     degree, (count, _, channels) = sh.degree_of(values.shape[1]), values.shape
     energy, means = _means(values)
-    harmonics = sh.evaluate(directions, degree)[:, 1:]
+    # Contiguous and writable copies, whatever the number of suns and channels: kernels are compiled for each layout.
+    harmonics = sh.evaluate(directions, degree)[:, 1:].copy()
     gradient, radiance = np.zeros(means.shape), np.empty(len(means))
-    multipliers, logarithm = transport.multipliers.reshape(means.shape), transport.logarithm.ravel()
+    multipliers, logarithm = np.array(transport.multipliers).reshape(means.shape), transport.logarithm.flatten()
     suns = np.ascontiguousarray(
         np.broadcast_to(np.asarray(irradiance, np.float64).T, (count, channels, len(harmonics)))
     ).reshape(len(means), -1)

@@ -44,7 +44,8 @@ def reconstruct(
     with using_threads(1 + len(vertices) // _VERTICES_A_THREAD):
         for part, block, rows in _blocks(coefficients, vertices):
             half = block.dtype == np.float16
-            bits, table = (block.view(np.uint16), _half_table()) if half else (block, None)
+            bits, table = (block.view(np.uint16), _half_table()) if half else (block.view(), None)
+            bits.flags.writeable = False  # a kernel for arrays that can be written would be compiled beside this one
             _reconstruct(bits, table, rows, tuple(field[part] for field in places), sectors, light, radiance[part])
     return radiance
 

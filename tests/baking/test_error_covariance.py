@@ -94,7 +94,7 @@ def test_the_error_of_compression_is_reported_exactly(where: str, monkeypatch: p
     """For one view, equal channels, exact bakes and one covariance per vertex."""
     monkeypatch.setattr("bakers.error_covariance.VERTICES_PER_CLUSTER", 1)
     coefficients = np.random.default_rng(0).normal(size=(42, 1, 9, 1)) * np.ones((1, 1, 1, 3)) + 20.0 * np.eye(9)[:, :1]
-    asset = asset_of(MESH, coefficients, 1, 1, 2, error_covariance=unknown_covariance(42, 9))
+    asset = asset_of(MESH, coefficients.astype(np.float32), 1, 1, 2, error_covariance=unknown_covariance(42, 9))
     asset = dataclasses.replace(asset, standard_error=np.zeros((42, 1), np.float32))
     light, compact = light_from(LIGHTS[where]), compress(asset, 0.02)
     off = radiance(compact, light) - radiance(asset, light)

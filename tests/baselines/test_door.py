@@ -1,5 +1,8 @@
 """`prtbake train --baseline`, and the commands that take what it writes."""
 
+import io
+import shutil
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,33 +10,39 @@ import pytest
 
 from formats.mesh import write_mesh
 from prt_bake.baselines import neumip_training
+from prt_bake.cli.main import main
 from prt_bake.network.bssrdf import load_model
 from tests.baselines.shapes import ball_of_charts
 from tests.cli.command_line import Run
 from tests.trainer.small_training import SCENE
 
 
-@pytest.fixture
-def scene(prtbake: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A ball, in the working directory."""
-    write_mesh(ball_of_charts(), tmp_path / "ball.obj")
-    (tmp_path / "ball.toml").write_text(SCENE.format(eta=1.0, roughness=0.0).replace("ball.ply", "ball.obj"))
-    monkeypatch.chdir(tmp_path)
-    return tmp_path / "ball.toml"
-
-
-@pytest.fixture
-def trained(prtbake: Run, scene: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A NeuMIP of the ball, after two steps."""
+@pytest.fixture(scope="module")
+def training(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A folder with a ball and a NeuMIP of it after two steps, and what the command said."""
+    folder, said = tmp_path_factory.mktemp("trained"), io.StringIO()
+    write_mesh(ball_of_charts(), folder / "ball.obj")
+    (folder / "ball.toml").write_text(SCENE.format(eta=1.0, roughness=0.0).replace("ball.ply", "ball.obj"))
     few = replace(neumip_training.LEARNING, batch=64, held_out_queries=16, held_out_walks=16)
-    monkeypatch.setattr(neumip_training, "LEARNING", few)
-    run = prtbake(
-        "train", "ball.toml", "-o", "m.pt", "--baseline", "neumip", "--steps", 2, "--no-report", "--no-importance"
-    )
-    assert run.code == 0, run.err
-    assert "m.pt: 2 steps" in run.out
-    assert "next: prtbake bake m.pt ball.obj -o m.h5" in run.err + run.out
-    return scene.parent / "m.pt"
+    command = "train ball.toml -o m.pt --baseline neumip --steps 2 --no-report --no-importance"
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(said), redirect_stderr(said):
+        patch.chdir(folder)
+        patch.setattr(neumip_training, "LEARNING", few)
+        assert main(command.split()) == 0
+    return folder, said.getvalue()
+
+
+@pytest.fixture
+def trained(prtbake: Run, training: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the model beside a copy of its scene, in the working directory."""
+    shutil.copytree(training[0], tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "m.pt"
+
+
+def test_it_says_what_it_wrote_and_what_is_next(training: tuple[Path, str]) -> None:
+    assert "m.pt: 2 steps" in training[1]
+    assert "next: prtbake bake m.pt ball.obj -o m.h5" in training[1]
 
 
 def test_its_model_is_described_checked_baked_and_rendered(prtbake: Run, trained: Path) -> None:
@@ -53,7 +62,7 @@ def test_its_model_is_described_checked_baked_and_rendered(prtbake: Run, trained
     assert rendered.code == 0, rendered.err
 
 
-def test_an_unknown_baseline_names_those_that_exist(prtbake: Run, scene: Path) -> None:
+def test_an_unknown_baseline_names_those_that_exist(prtbake: Run, trained: Path) -> None:
     run = prtbake("train", "ball.toml", "-o", "n.pt", "--baseline", "neumop", "--steps", 2)
     assert run.code == 1
     assert "baseline: expected one of neumip, neumip-pyramid, neumip-log" in run.err

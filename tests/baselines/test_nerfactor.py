@@ -181,9 +181,13 @@ def test_a_foreign_mesh_is_refused():
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory):
+def scene(tmp_path_factory):
+    return make_scene(tmp_path_factory.mktemp("scene"), eta=1.3, roughness=0.4)
+
+
+@pytest.fixture(scope="module")
+def trained(scene):
     """A model of a small rough scene, trained from walks in a second."""
-    scene = make_scene(tmp_path_factory.mktemp("scene"), eta=1.3, roughness=0.4)
     learning = dataclasses.replace(
         LEARNING,
         **{
@@ -194,6 +198,7 @@ def trained(tmp_path_factory):
     return scene, train_nerfactor(scene, steps=150, settings=SMALL, stream=STREAM, learning=learning, seed=1)
 
 
+@pytest.mark.statistics
 def test_walks_teach_the_brdf(trained):
     """The medium's albedo falls from red to blue, and so does the BRDF's; its errors are those of its class."""
     scene, model = trained
@@ -205,6 +210,7 @@ def test_walks_teach_the_brdf(trained):
     assert errors["coefficients"] < 0.9
 
 
+@pytest.mark.statistics
 def test_a_bake_has_the_harmonics_of_the_model(trained):
     scene, model = trained
     asset = prt.bake(model, scene.mesh, rings=2, sectors=4, samples=512)
@@ -217,8 +223,7 @@ def test_a_bake_has_the_harmonics_of_the_model(trained):
     assert baked.mean() == pytest.approx(sampled.mean(), rel=0.05)
 
 
-def test_the_command_trains_it(prtbake, trained, tmp_path, monkeypatch):
-    scene = trained[0]
+def test_the_command_trains_it(prtbake, scene, tmp_path, monkeypatch):
     few = dataclasses.replace(LEARNING, batch=64, held_out_queries=16, held_out_walks=16)
     monkeypatch.setattr(nerfactor_training, "LEARNING", few)
     output = tmp_path / "nerfactor.pt"
@@ -236,6 +241,6 @@ def test_the_command_trains_it(prtbake, trained, tmp_path, monkeypatch):
     assert prtbake("train", scene.path, *arguments, "--force", "--device", "cuda").code != 0
 
 
-def test_it_learns_on_the_processor_only(trained):
+def test_it_learns_on_the_processor_only(scene):
     with pytest.raises(QueryError, match="expected device 'cpu', found 'cuda'"):
-        train_nerfactor(trained[0], steps=1, device="cuda")
+        train_nerfactor(scene, steps=1, device="cuda")

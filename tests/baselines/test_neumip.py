@@ -316,6 +316,7 @@ def scene(tmp_path: Path) -> Scene:
     return read_scene(tmp_path / "scene.toml")
 
 
+@pytest.mark.statistics
 def test_a_trained_model_is_baked_as_a_network_is(scene: Scene, tmp_path: Path) -> None:
     arguments: dict[str, Any] = {"settings": LARGER, "stream": STREAM, "learning": FAST, "seed": 1}
     model = train_neumip(scene, steps=200, synchronous=True, output=tmp_path / "m.pt", **arguments)

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -166,45 +167,36 @@ def test_an_unusable_output_is_refused_before_the_work(prtbake: Run, tmp_path: P
     _assert_one_sentence(prtbake("bake", "nothing.pt", "sphere.ply", "-o", path), path)
 
 
-def test_a_full_disk_is_one_sentence_and_older_output_stays(folder: Path, tmp_path: Path) -> None:
+def test_a_full_disk_is_one_sentence_and_older_output_stays(prtbake: Run, tmp_path: Path) -> None:
     """A limit on file sizes simulates a full disk: writing fails at the same place."""
+    resource = pytest.importorskip("resource")
     output = tmp_path / "old.h5"
     output.write_bytes(b"an older output")
-    program = (
-        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (65536, 65536));"
-        "from prt_bake.cli.main import main; sys.exit(main(sys.argv[1:]))"
-    )
-    options = ["--samples", "18", "--lobes", "0", "--storage", "float32"]
-    command = ["bake", "model.pt", "sphere.ply", "-o", str(output), *options]
-    ran = subprocess.run(
-        [sys.executable, "-c", program, *command, "--force"], cwd=folder, capture_output=True, text=True, check=False
-    )
-    _assert_one_sentence(Outcome(ran.returncode, ran.stdout, ran.stderr), output)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (65536, limits[1]))
+    try:
+        options = ["--samples", 18, "--lobes", 0, "--storage", "float32", "--force"]
+        outcome = prtbake("bake", "model.pt", "sphere.ply", "-o", output, *options)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    _assert_one_sentence(outcome, output)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["old.h5"]
     assert output.read_bytes() == b"an older output"
 
 
-def _start_long_bake(folder: Path, output: Path) -> subprocess.Popen[str]:
-    """Start a bake that takes minutes, and return once it reports its first vertices."""
-    program = (
-        "import sys; from prt_bake.cli import main; from prt_bake.cli.shared import progress; "
-        "progress.PLAIN_INTERVAL = 0.0; sys.exit(main.main(sys.argv[1:]))"
-    )
-    options = ["-o", str(output), "--samples", "1024", "--lobes", "0", "--force"]
-    command = [sys.executable, "-c", program, "bake", "model.pt", "sphere.ply", *options]
-    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stderr is not None
-    assert "bake: " in process.stderr.readline()
-    return process
+def test_ctrl_c_leaves_a_valid_partial_asset(tmp_path: Path, prtbake: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C at any place of a bake that takes minutes, after its first vertices."""
+    keys = threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT))
 
+    def progress(done: int, *_: object) -> None:
+        if done > 0 and keys.ident is None:
+            keys.start()
 
-def test_ctrl_c_leaves_a_valid_partial_asset(folder: Path, tmp_path: Path, prtbake: Run) -> None:
-    process = _start_long_bake(folder, tmp_path / "a.h5")
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=600)
-    assert process.returncode == 130
-    assert "Traceback" not in err
-    assert "stopped" in err.splitlines()[-1]
+    monkeypatch.setattr("prt_bake.cli.bake.bake_progress", lambda *_: progress)
+    outcome = prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", "--samples", 1024, "--lobes", 0)
+    keys.cancel()
+    assert outcome.code == 130
+    assert "stopped" in outcome.err.splitlines()[-1]
     asset = read_asset(tmp_path / "a.h5")
     assert not asset.complete
     assert np.count_nonzero(asset.valid) == asset.provenance["vertices_baked"] < 42
@@ -226,7 +218,15 @@ def test_ctrl_c_before_the_first_vertex_of_a_bake_ends_it_at_once(
 
 def test_a_killed_bake_leaves_the_older_asset(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "a.h5").write_bytes(b"an older output")
-    process = _start_long_bake(folder, tmp_path / "a.h5")
+    program = (
+        "import sys; from prt_bake.cli import main; from prt_bake.cli.shared import progress; "
+        "progress.PLAIN_INTERVAL = 0.0; sys.exit(main.main(sys.argv[1:]))"
+    )
+    options = ["-o", tmp_path / "a.h5", "--samples", "1024", "--lobes", "0", "--force"]
+    command = [sys.executable, "-c", program, "bake", "model.pt", "sphere.ply", *options]
+    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    assert "bake: " in process.stderr.readline()
     process.kill()
     process.communicate(timeout=600)
     assert (tmp_path / "a.h5").read_bytes() == b"an older output"

@@ -8,6 +8,7 @@ import pytest
 
 import prt_bake as prt
 from formats.asset import check_asset, read_asset, write_asset
+from prt_bake.baking.lobes import search
 from prt_bake.lobes.rounding import change
 from tests.conftest import Run
 
@@ -25,7 +26,10 @@ def test_a_bake_says_what_lobes_gain(prtbake: Run, tmp_path: Path) -> None:
     assert read_asset(tmp_path / "without.h5").lobes is None
 
 
-def test_lobes_are_added_beside_the_asset(prtbake: Run, tmp_path: Path, folder: Path) -> None:
+def test_lobes_are_added_beside_the_asset(
+    prtbake: Run, tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(search, "MOST_SHARPNESS", 6.0)  # as in the shared asset
     baked = read_asset(folder / "asset.h5")
     write_asset(replace(baked, lobes=None), tmp_path / "asset.h5")
     outcome = prtbake("lobes", "model.pt", tmp_path / "asset.h5")
@@ -70,7 +74,7 @@ def test_refusals(prtbake: Run, arguments: list[str], sentence: str, tmp_path: P
 
 
 def test_a_dry_run_states_the_cost_of_lobes(prtbake: Run) -> None:
-    outcome = prtbake("bake", "model.pt", "sphere.ply", "--rings", 8, "--sectors", 16, "--dry-run")
+    outcome = prtbake("bake", "model.pt", "sphere.ply", "--rings", 4, "--sectors", 8, "--dry-run")
     assert '"lobes_in_a_view"' in outcome.out
     assert '"bytes"' in outcome.out
     hurried = prtbake("bake", "model.pt", "sphere.ply", "--error", 0.2, "--minutes", 1e-4, "--dry-run")

@@ -19,10 +19,8 @@ COMMAND = ["view", "asset.h5", "--light", "sky.exr"]
     "options",
     [
         [],
-        ["--rotate", 60, "--exposure", -1],
-        ["--up", "y"],
-        ["--eye", "2,3,1"],
-        ["--view", "left"],
+        ["--rotate", 60, "--exposure", -1, "--eye", "2,3,1"],
+        ["--up", "y", "--view", "left"],
         ["--suns", "plain"],
         ["--suns", "window"],
         ["--tone-map", "agx", "--exposure", 2],

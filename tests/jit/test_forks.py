@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 CHILD = """
 import os
 import numpy as np
@@ -22,21 +24,21 @@ import prt_bake as prt
 network = prt.NeuralBSSRDF()
 draw = np.random.default_rng(0).normal(size=(8, 512, 3))
 places = np.zeros((2, 64), int), np.zeros((2, 3)), np.tile([0.0, 0.0, 1.0], (2, 64, 1))
-print(run(lambda: network.evaluate_block(draw, *places)))
+print(run(lambda: network.evaluate_block(draw, *places)), flush=True)
 """
 PATHS = """
 import prt_bake as prt
 from prt_bake.shipped.demonstration import SHIPPED
 scene = prt.load_scene(SHIPPED / "spot.toml")
 at = scene.mesh.positions[:4], scene.mesh.normals[:4], scene.mesh.normals[:4]
-print(run(lambda: prt.estimate_transport(scene, *at, paths=16)))
+print(run(lambda: prt.estimate_transport(scene, *at, paths=16)), flush=True)
 """
 SHADING = """
 from prt_bake.jit.threads import using_threads
 def work():
     with using_threads(2):
         pass
-print(run(work))
+print(run(work), flush=True)
 """
 
 
@@ -45,15 +47,8 @@ def printed(work: str) -> list[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout.splitlines()
 
 
-def test_a_network_is_evaluated_in_a_forked_process() -> None:
-    assert printed(NETWORK) == ["0"]
-
-
-def test_shading_in_a_forked_process_is_refused() -> None:
-    message, code = printed(SHADING)
-    assert code == "3"
+@pytest.mark.usefixtures("compiled_kernels")
+def test_networks_and_paths_are_computed_in_a_forked_process_and_shading_is_refused() -> None:
+    of_network, of_paths, message, of_shading = printed(NETWORK + PATHS + SHADING)
+    assert (of_network, of_paths, of_shading) == ("0", "0", "3")
     assert "forked" in message
-
-
-def test_paths_are_traced_in_a_forked_process() -> None:
-    assert printed(PATHS) == ["0"]

@@ -11,6 +11,7 @@ from prt_bake.lights.deringing import minimum, required_spread, windowed
 from prt_bake.mathematics import sh, sphere
 
 LATTICE = sphere.fibonacci(4000)
+HARMONICS = {degree: sh.evaluate(LATTICE, degree) for degree in (1, 2, 3, 5)}
 AXES = [*np.eye(3), *-np.eye(3), np.array([0.48, 0.6, 0.64])]
 
 
@@ -21,11 +22,11 @@ def lowest(function: np.ndarray) -> float:
     def value(d: np.ndarray) -> float:
         return float(sh.evaluate(d / np.linalg.norm(d), degree) @ function)
 
-    starts = LATTICE[np.argsort(sh.evaluate(LATTICE, degree) @ function)[:3]]
+    starts = LATTICE[np.argsort(HARMONICS[degree] @ function)[:3]]
     return min(minimize(value, start, tol=1e-14).fun for start in starts)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("degree", [1, 2, 3, 5])
 def test_the_minimum_equals_that_of_a_search(degree: int, seed: int) -> None:
     function = np.random.default_rng(seed).normal(size=sh.count(degree))

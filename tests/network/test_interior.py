@@ -77,7 +77,7 @@ def complex_features(view: ViewFeatures, x: np.ndarray, eye: np.ndarray) -> np.n
     return np.asarray(found[:, :count] + 1j * found[:, count : 2 * count])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(arrays.arrays(np.int8, st.tuples(st.just(2), *[st.integers(2, 9)] * 3), elements=st.integers(-LEVELS, LEVELS)))
 def test_packing_keeps_an_interior(levels: np.ndarray) -> None:
     interior = Interior(levels, (0.1, -0.2, 0.3), 0.25, (1e4, 0.0), 1.5)

@@ -322,15 +322,14 @@ def test_missing_and_invalid_lights_are_refused_in_one_sentence(prtbake: Run, tm
 
 
 @pytest.mark.usefixtures("compiled_kernels")
-def test_ctrl_c_leaves_a_valid_picture_that_can_be_resumed(folder: Path, tmp_path: Path) -> None:
+def test_ctrl_c_leaves_a_valid_picture_that_can_be_resumed(prtbake: Run, folder: Path, tmp_path: Path) -> None:
     program = (
         "import sys; from prt_bake.cli import main; from prt_bake.cli.shared import progress; "
         "progress.PLAIN_INTERVAL = 0.0; sys.exit(main.main(sys.argv[1:]))"
     )
-    command = [sys.executable, "-c", program, *COMMAND, "--light", "sky.exr", "-o", str(tmp_path / "a.exr")]
-    process = subprocess.Popen(
-        [*command, "--spp", "1000000"], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    command = [*COMMAND, "--light", "sky.exr", "-o", str(tmp_path / "a.exr")]
+    started = [sys.executable, "-c", program, *command, "--spp", "1000000"]
+    process = subprocess.Popen(started, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     for _ in range(3):
         assert "1000000 paths per pixel" in process.stderr.readline()
@@ -345,9 +344,7 @@ def test_ctrl_c_leaves_a_valid_picture_that_can_be_resumed(folder: Path, tmp_pat
     assert read.attributes["prtbake.complete"] == "no"
     assert np.isfinite(read.layers["error"]).all()
     assert checkpoint_path(tmp_path / "a.exr").is_file()
-    done = subprocess.run(
-        [*command, "--resume", "--spp", str(spp + 2)], cwd=folder, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
+    done = prtbake(*command, "--resume", "--spp", spp + 2)
+    assert done.code == 0, done.err
     assert read_layers(tmp_path / "a.exr").attributes["prtbake.spp"] == str(spp + 2)
     assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]

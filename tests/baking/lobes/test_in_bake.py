@@ -148,9 +148,9 @@ def test_a_time_limit_includes_the_lobes(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(prt_bake.baking.bake, "bake_to_error", ended)
     monkeypatch.setattr(in_bake, "SHARE_OF_TIME", 1.0)
     for lobes in (0, 4):
-        prt.bake(Lobed(), MESH, rings=4, sectors=8, minutes=0.05, lobes=lobes)
-    assert limits[0] == pytest.approx(3.0)
-    assert limits[1] < 3.0 - 1e-6
+        prt.bake(Lobed(), MESH, rings=4, sectors=8, minutes=0.02, lobes=lobes)
+    assert limits[0] == pytest.approx(1.2)
+    assert limits[1] < 1.2 - 1e-6
 
 
 def test_the_time_left_ends_with_the_lobes() -> None:

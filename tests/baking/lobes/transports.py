@@ -65,7 +65,7 @@ class Smooth:
         return np.repeat(1.0 + towards[..., :1], 3, axis=-1)
 
 
-def errors(transport: Any, asset: Asset, outgoing: Array, count: int = 60) -> tuple[float, float]:
+def errors(transport: Any, asset: Asset, outgoing: Array, count: int = 24) -> tuple[float, float]:
     """Relative RMSE under `count` suns from all directions, without and with lobes. outgoing [V,3]: to the eye."""
     suns, found = fibonacci(count), []
     exact = transport.evaluate(suns, MESH.positions, outgoing)

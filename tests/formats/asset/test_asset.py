@@ -150,7 +150,7 @@ def valid_assets(draw) -> Asset:
     return asset
 
 
-@settings(max_examples=60, deadline=None, derandomize=True, database=None)
+@settings(max_examples=40, deadline=None, derandomize=True, database=None)
 @given(asset=valid_assets())
 def test_every_valid_asset_survives_write_and_read(tmp_path_factory, asset):
     path = tmp_path_factory.mktemp("asset") / "a.h5"

@@ -91,16 +91,22 @@ def test_a_truncated_file_is_refused(tmp_path):
         assert_refused(tmp_path / "cut.h5", "truncated" if tenth else "empty")
 
 
+@pytest.fixture(scope="module")
+def intact_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("s") / "a.h5"
+    write(path, [block(60, 2)], directions=2)
+    return path
+
+
 @settings(max_examples=30, deadline=None)
 @given(place=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
-def test_a_flipped_bit_is_refused_or_harmless(tmp_path_factory, place, bit):
+def test_a_flipped_bit_is_refused_or_harmless(tmp_path_factory, intact_file, place, bit):
     """Values that are read are never wrong, because everything has a checksum."""
     folder = tmp_path_factory.mktemp("s")
-    write(folder / "a.h5", [block(60, 2)], directions=2)
-    content = bytearray((folder / "a.h5").read_bytes())
+    content = bytearray(intact_file.read_bytes())
     content[int(place * len(content))] ^= 1 << bit
     (folder / "b.h5").write_bytes(content)
-    intact = read_samples(folder / "a.h5")
+    intact = read_samples(intact_file)
     if check_samples(folder / "b.h5"):
         assert_refused(folder / "b.h5", ": ")
         return
