@@ -72,7 +72,7 @@ def test_a_network_without_lobes_has_no_such_sampling() -> None:
 
 
 def test_own_lobes_are_the_default_and_leave_the_picture_unbiased() -> None:
-    by_light, both = picture("light", 1, 2.0, uneven_sky(), 1024), picture(None, 2, 2.0, uneven_sky(), 1024)
+    by_light, both = picture("light", 1, 2.0, uneven_sky(), 2048), picture(None, 2, 2.0, uneven_sky(), 2048)
     assert both.sampling["by"] == "mis"
     covered = by_light.coverage >= 1.0
     error = np.hypot(by_light.standard_error, both.standard_error)[covered]
