@@ -83,6 +83,8 @@ def test_a_training_starts_from_an_earlier_model(prtbake: Run, tmp_path: Path) -
     assert prtbake("train", "scene.toml", "-o", first, *fast, "--seed", 3).code == 0
     trained = prtbake("train", "scene.toml", "-o", second, *fast, "--from", first)
     assert trained.code == 0, trained.err
+    assert "% off" in trained.out
+    assert "extrapolated" not in trained.out
     model = load_model(second)
     assert (model.metadata["started_from"], model.settings.seed) == ("scene.toml, 2 steps", 3)
     assert model.metadata["training"]["learning"]["rate"] == CONTINUED.rate

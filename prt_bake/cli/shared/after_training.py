@@ -103,11 +103,12 @@ def importance(network: "Model", scene: "Scene", model: Path, seed: int, budget:
 
 def quality_of(network: "Model") -> str:
     """The quality of a model by the final errors of its training, in words."""
-    from prt_bake.trainer.report.quality import quality
+    from prt_bake.trainer.report.quality import learning_minutes, quality
     from prt_bake.trainer.report.summary import final_error
 
     training = network.metadata["training"]
-    return quality(final_error(training["relative_rmse"]), training["seconds"] / 60.0, training["walks"], network.kind)
+    minutes = learning_minutes(training["seconds"], network.metadata.get("started_from", ""))
+    return quality(final_error(training["relative_rmse"]), minutes, training["walks"], network.kind)
 
 
 def show_part(show: Report, text: str, share: float, budget: "Budget | None") -> None:

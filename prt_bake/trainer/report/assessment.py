@@ -123,6 +123,7 @@ def _model(network: Any, scene: Scene, training: dict[str, Any]) -> dict[str, An
         "scene": scene.path.name,
         "scene_hash": scene.content_hash,
         "weights": weights_of(network),
+        "started_from": getattr(network, "metadata", {}).get("started_from", ""),
         "training_seconds": seconds,
         "steps": int(training.get("steps", 0)),
         "walks": walked,

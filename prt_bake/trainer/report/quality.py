@@ -22,8 +22,15 @@ _LITTLE = 0.95
 """More training that leaves more than this part of the error is not worth mentioning."""
 
 
+def learning_minutes(seconds: float, started_from: str) -> float:
+    """Minutes from which an error can be extrapolated; 0, as if unknown, if part was learned in an earlier training."""
+    return 0.0 if started_from else seconds / 60.0
+
+
 def quality(error: Interval, minutes: float, walks: float, kind: str = "") -> str:
     """Judge a relative RMSE of a_lm after some minutes of learning from some walks, for a model of a kind.
+
+    Nothing is extrapolated from 0 minutes.
 
     >>> quality(Interval(0.044, 0.041, 0.047), minutes=0.0, walks=1e8)
     'the network is 4.4 % off (4.1 to 4.7): good for final pictures'

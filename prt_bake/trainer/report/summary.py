@@ -8,7 +8,7 @@ from formats.scene import Scene
 from prt_bake.mathematics.noise_free import Interval
 from prt_bake.tracer.prepared import interface_kind
 from prt_bake.tracer.surface.interface import MATCHED
-from prt_bake.trainer.report.quality import quality
+from prt_bake.trainer.report.quality import learning_minutes, quality
 
 COEFFICIENTS_PLAIN, COEFFICIENTS = 0.05, 0.10
 """Largest relative RMSE of a_lm for a homogeneous, index-matched object, and for any other."""
@@ -84,7 +84,8 @@ def criterion_line(row: dict[str, Any]) -> str:
 def sentences(found: dict[str, Any]) -> list[str]:
     """The assessment in sentences, the most important first; intervals are 95 % confidence intervals."""
     model, surface = found["model"], surface_error(found)
-    summary = [quality(surface, model["training_seconds"] / 60.0, model["walks"], model.get("kind", ""))]
+    minutes = learning_minutes(model["training_seconds"], model.get("started_from", ""))
+    summary = [quality(surface, minutes, model["walks"], model.get("kind", ""))]
     if found["transport"] is not None:
         summary.append(f"Relative RMSE of Ŝ on fresh queries: {_error_text(found['transport'])}")
     else:

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from prt_bake.mathematics.noise_free import Interval
-from prt_bake.trainer.report.quality import LEVELS, quality
+from prt_bake.trainer.report.quality import LEVELS, learning_minutes, quality
 
 
 @pytest.mark.parametrize(("error", "words"), [(0.04, LEVELS[0][1]), (0.09, LEVELS[1][1]), (0.15, LEVELS[2][1])])
@@ -50,3 +50,8 @@ def test_an_unknown_error_or_interval_is_no_number() -> None:
     nan = math.nan
     assert "unknown" in quality(Interval(nan, nan, nan), 1.0, 1e6)
     assert quality(Interval(0.3, nan, nan), 1.0, 1e6).startswith("the network is 30.0 % off: a rough impression; ")
+
+
+def test_nothing_is_extrapolated_from_a_part_of_the_learning() -> None:
+    assert learning_minutes(120.0, "") == 2.0
+    assert learning_minutes(120.0, "wax.toml, 900 steps") == 0.0
