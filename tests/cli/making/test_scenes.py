@@ -14,9 +14,16 @@ def test_another_scene_or_foreign_files_are_refused(stand_ins):
     stand_ins.run("wax.toml", "-o", "out")
     text = Path("wax.toml").read_text()
     Path("wax.toml").write_text(text.replace("density = 1.0", "density = 2.0"))
-    with pytest.raises(PrtbakeError, match=r"out: was made with scene_hash .* choose another folder, or add --force"):
+    with pytest.raises(PrtbakeError, match=r"out: wax\.toml has changed .*: medium\.density was 1\.0, is 2\.0; choose an"):
+        stand_ins.run("wax.toml", "-o", "out")
+    Path("wax.toml").write_text(text.replace('up = "y"', 'up = "z"'))
+    with pytest.raises(PrtbakeError, match=r"wax\.toml has changed since it was made: object\.up was y, is z; choose"):
         stand_ins.run("wax.toml", "-o", "out")
     Path("wax.toml").write_text(text)
+    trimesh.load("ball.obj").subdivide().export("ball.obj")
+    with pytest.raises(PrtbakeError, match=r"changed since it was made: a key, or a file that it names, such as the mes"):
+        stand_ins.run("wax.toml", "-o", "out")
+    assert "object.up = y, " in Path("out/summary.md").read_text()
     stand_ins.seconds |= {"train": 150.0, "bake": 40.0}
     assert len(stand_ins.run("wax.toml", "-o", "out", "--minutes", "5", "--force")) == 4
     Path("out/summary.json").write_text("{}")
