@@ -2,12 +2,12 @@
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from formats.atomic import sha256
-from formats.errors import MeshError, StorageError
+from formats.errors import MeshError, SceneError, StorageError
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.next_step import say_next_of_asset
 from prt_bake.cli.shared.options import Exposure, ToneMap, View
@@ -100,8 +100,12 @@ def make(
         read = _read(path)
         if remark := appearance_remark(read):
             say(f"remark: {path}: {remark}")
-        start_hash = None if start is None else sha256(start)
-        settings = {"scene": path.name, "scene_hash": read.content_hash, "start_hash": start_hash}
+        settings = {
+            "scene": path.name,
+            "scene_hash": read.content_hash,
+            "keys": _keys(read),
+            "start_hash": None if start is None else sha256(start),
+        }
         options = ["--tone-map", tone_map, *(["--exposure", f"{exposure:g}"] if exposure else [])]
         options += ["--view", side] if side else []
         files = [sha256(name) for name in light or () if Path(name).is_file()]
@@ -166,6 +170,19 @@ def _read(path: Path) -> "Scene":
     scene = read_scene(path)
     _refuse_turned(scene)
     return scene
+
+
+def _keys(scene: "Scene") -> dict[str, Any]:
+    """The keys of a scene file as they are written, and its axis, by names such as "medium.density"."""
+    from formats.scene.toml import read_toml
+
+    tables = read_toml(scene.path, SceneError, "a scene file")
+    written = {
+        name if key is None else f"{name}.{key}": value
+        for name, table in tables.items()
+        for key, value in (table.items() if isinstance(table, dict) else [(None, table)])
+    }
+    return {**written, "object.up": scene.up}
 
 
 def _refuse_other_scene(path: Path, mesh: Path, material: str | None, size: str | None) -> None:

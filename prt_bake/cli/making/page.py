@@ -39,6 +39,8 @@ def _lines(record: Record) -> Iterator[str]:
     yield ""
     yield from (f"![{name}]({name})" for name in (PICTURE, TURNTABLE) if name in sizes)
     yield ""
+    if keys := record.settings.get("keys"):
+        yield "* Scene: " + ", ".join(f"{name} = {value}" for name, value in keys.items())
     yield f"* Error of the asset {record.figures['error of the coefficients']}"
     yield (
         f"* {record.figures['vertices']:,} vertices, {record.figures['view bins']:,} view bins, harmonics of degree "

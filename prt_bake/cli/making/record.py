@@ -43,7 +43,8 @@ class Record:
 
     Attributes:
         folder: where everything is written.
-        settings: what all files depend on; plain JSON values.
+        settings: what all files depend on: the "scene", its "scene_hash", its "keys", such as "medium.density", and the
+            "start_hash" of --from.
         pictures: what the pictures depend on as well: their "light" in words, hashes of its files, and "options" of
             `prtbake shade`.
         minutes: time of everything that is made in the folder, by however many runs.
@@ -96,17 +97,17 @@ class Record:
             record = cls(folder, steps=steps, **content)
         except (ValueError, KeyError, TypeError, AttributeError) as cause:
             raise FormatError(f"{path}: was not written by `prtbake make`, or is damaged; {again}") from cause
-        for name, value in wanted.items():
-            if record.settings.get(name) != value and name == "scene_hash":
-                raise StorageError(
-                    f"{folder}: was made when mesh, material or interface of {record.settings['scene']} were others; "
-                    f"choose another folder, where --from {folder / MODEL} saves most of the training, or add --force "
-                    "to make everything anew"
-                )
-            if record.settings.get(name) != value:
-                raise StorageError(
-                    f"{folder}: was made with {name} {record.settings.get(name)!r}, found {value!r}; {again}"
-                )
+        if (scene := record.settings.get("scene")) != wanted["scene"]:
+            raise StorageError(f"{folder}: was made with scene {scene!r}, found {wanted['scene']!r}; {again}")
+        before, now = record.settings.get("keys", {}), wanted["keys"]
+        up = "object.up"  # of the asset and the pictures, though not of the hash
+        if record.settings.get("scene_hash") != wanted["scene_hash"] or (up in before and before[up] != now[up]):
+            raise StorageError(
+                f"{folder}: {scene} has changed since it was made: {_changes(before, now)}; choose another folder, "
+                f"where --from {folder / MODEL} saves most of the training, or add --force to make everything anew"
+            )
+        if record.settings.get("start_hash") != wanted["start_hash"]:
+            raise StorageError(f"{folder}: was made with another --from, or without it; give the same, or {again}")
         return record
 
     def _extend(self, minutes: float | None) -> None:
@@ -196,6 +197,13 @@ def refuse_foreign(folder: Path) -> None:
     """Raise StorageError if the folder has no summary, but files of the names that `prtbake make` writes."""
     if not (folder / SUMMARY).is_file() and (found := [path for path in _all_files(folder) if path.exists()]):
         raise StorageError(f"{found[0]}: already exists; choose another folder, or add --force to replace it")
+
+
+def _changes(before: dict[str, Any], now: dict[str, Any]) -> str:
+    """Name the keys of a scene that differ; if none does, a file that they name has changed."""
+    names = [name for name in before | now if before.get(name) != now.get(name)] if before else []
+    words = (f"{name} was {before.get(name, 'left out')}, is {now.get(name, 'left out')}" for name in names)
+    return ", ".join(words) or "a key, or a file that it names, such as the mesh"
 
 
 def model_files() -> list[str]:

@@ -14,9 +14,18 @@ def test_another_scene_or_foreign_files_are_refused(stand_ins):
     stand_ins.run("wax.toml", "-o", "out")
     text = Path("wax.toml").read_text()
     Path("wax.toml").write_text(text.replace("density = 1.0", "density = 2.0"))
-    with pytest.raises(PrtbakeError, match=r"out: was made when .* --from out/model\.pt saves .* add --force"):
+    with pytest.raises(
+        PrtbakeError, match=r"out: wax\.toml has changed .*density was 1\.0, is 2\.0; .* --from out/mod"
+    ):
+        stand_ins.run("wax.toml", "-o", "out")
+    Path("wax.toml").write_text(text.replace('up = "y"', 'up = "z"'))
+    with pytest.raises(PrtbakeError, match=r"wax\.toml has changed since it was made: object\.up was y, is z; choose"):
         stand_ins.run("wax.toml", "-o", "out")
     Path("wax.toml").write_text(text)
+    trimesh.load("ball.obj").subdivide().export("ball.obj")
+    with pytest.raises(PrtbakeError, match=r"changed .*: a key, or a file that it names, such as"):
+        stand_ins.run("wax.toml", "-o", "out")
+    assert "object.up = y, " in Path("out/summary.md").read_text()
     stand_ins.seconds |= {"train": 150.0, "bake": 40.0}
     assert len(stand_ins.run("wax.toml", "-o", "out", "--minutes", "5", "--force")) == 4
     Path("out/summary.json").write_text("{}")
@@ -92,7 +101,7 @@ def test_a_model_to_start_from_reaches_the_training_and_belongs_to_the_folder(st
     stand_ins.run("wax.toml", "-o", "out", "--from", earlier)
     assert stand_ins.start == earlier
     assert stand_ins.run("wax.toml", "-o", "out", "--from", earlier) == []
-    with pytest.raises(PrtbakeError, match=r"out: was made with start_hash '.*', found None; choose another folder"):
+    with pytest.raises(PrtbakeError, match="out: was made with another --from, or without it; give the same, or"):
         stand_ins.run("wax.toml", "-o", "out")
     with pytest.raises(PrtbakeError, match="--from"):
         stand_ins.run("wax.toml", "-o", "out", "--from", "out/model.pt", "--force")
