@@ -193,7 +193,7 @@ def refuse_foreign(folder: Path) -> None:
         raise StorageError(f"{found[0]}: already exists; choose another folder, or add --force to replace it")
 
 
-def _changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+def _changes(before: dict[str, Any], now: dict[str, Any]) -> str:
     """Name the keys of a scene that differ; if none does, a file that they name has changed."""
     names = [name for name in before | now if before.get(name) != now.get(name)] if before else []
     words = (f"{name} was {before.get(name, 'left out')}, is {now.get(name, 'left out')}" for name in names)

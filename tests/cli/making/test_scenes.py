@@ -14,14 +14,14 @@ def test_another_scene_or_foreign_files_are_refused(stand_ins):
     stand_ins.run("wax.toml", "-o", "out")
     text = Path("wax.toml").read_text()
     Path("wax.toml").write_text(text.replace("density = 1.0", "density = 2.0"))
-    with pytest.raises(PrtbakeError, match=r"out: wax\.toml has changed .*: medium\.density was 1\.0, is 2\.0; choose an"):
+    with pytest.raises(PrtbakeError, match=r"out: wax\.toml has changed .*: medium\.density was 1\.0, is 2\.0; ch"):
         stand_ins.run("wax.toml", "-o", "out")
     Path("wax.toml").write_text(text.replace('up = "y"', 'up = "z"'))
     with pytest.raises(PrtbakeError, match=r"wax\.toml has changed since it was made: object\.up was y, is z; choose"):
         stand_ins.run("wax.toml", "-o", "out")
     Path("wax.toml").write_text(text)
     trimesh.load("ball.obj").subdivide().export("ball.obj")
-    with pytest.raises(PrtbakeError, match=r"changed since it was made: a key, or a file that it names, such as the mes"):
+    with pytest.raises(PrtbakeError, match=r"changed since it was made: a key, or a file that it names, such as the m"):
         stand_ins.run("wax.toml", "-o", "out")
     assert "object.up = y, " in Path("out/summary.md").read_text()
     stand_ins.seconds |= {"train": 150.0, "bake": 40.0}
@@ -40,12 +40,27 @@ def test_a_mesh_gets_a_scene_in_the_folder(stand_ins, capsys):
     assert stand_ins.run("ball.obj", "-o", "out", "--material", "jade", "--size", "4cm") == []
     assert "out/ball.toml: is there already, and is used; --force writes it anew" in capsys.readouterr().err
     assert stand_ins.run("ball.obj", "-o", "out") == []
-    with pytest.raises(PrtbakeError, match=r"ball\.toml: is another scene than --material and --size ask for"):
+    with pytest.raises(PrtbakeError, match=r"ball\.toml: is another scene than --material, --size and --up ask for"):
         stand_ins.run("ball.obj", "-o", "out", "--material", "jade", "--size", "5cm")
 
 
+def test_a_mesh_of_cad_is_told_its_axis(stand_ins, capsys):
+    trimesh.load("ball.obj").export("ball.stl")
+    stand_ins.run("ball.stl", "-o", "lying", "--material", "jade", "--size", "4cm")
+    remark = "ball.stl: the format names no axis; y is taken to point up; in files of Blender and CAD it is --up z"
+    assert remark in capsys.readouterr().err
+    calls = stand_ins.run("ball.stl", "-o", "out", "--material", "jade", "--size", "4cm", "--up", "z")
+    assert "names no axis" not in capsys.readouterr().err
+    assert 'up = "z"' in Path("out/ball.toml").read_text()
+    assert calls[2][3] == "sun:0.6,0.6,0.6:2,1.9,1.7:3"
+    with pytest.raises(PrtbakeError, match=r"ball\.toml: is another scene than --material, --size and --up ask for"):
+        stand_ins.run("ball.stl", "-o", "out", "--up", "y", "--material", "jade", "--size", "4cm")
+    with pytest.raises(typer.BadParameter, match="--material, --size and --up are for meshes"):
+        stand_ins.run("wax.toml", "-o", "new", "--up", "z")
+
+
 def test_what_would_fail_later_is_refused_at_once(stand_ins):
-    with pytest.raises(typer.BadParameter, match="--material and --size are for meshes"):
+    with pytest.raises(typer.BadParameter, match="--material, --size and --up are for meshes"):
         stand_ins.run("wax.toml", "-o", "out", "--material", "jade")
     with pytest.raises(PrtbakeError, match=r"asset\.h5: expected a scene or a mesh \(SCENE\), found an asset"):
         stand_ins.run(stand_ins.asset, "-o", "out")
@@ -54,7 +69,7 @@ def test_what_would_fail_later_is_refused_at_once(stand_ins):
     write_mesh(flipped(read_mesh("ball.obj")), "ball.obj")
     with pytest.raises(PrtbakeError, match=r"ball\.obj: the faces are wound inside out; flip the normals"):
         stand_ins.run("wax.toml", "-o", "out")
-    for size, words in (("", "--material and --size are"), ("0.1", "training, bake and pictures take 2 minutes")):
+    for size, words in (("", "--material, --size and --up are"), ("0.1", "training, bake and pictures take 2 minutes")):
         with pytest.raises(typer.BadParameter, match=words):
             stand_ins.run("wax.toml", "-o", "out", *(["--minutes", size] if size else ["--size", "3cm"]))
     assert stand_ins.calls == []
