@@ -176,9 +176,12 @@ def shade(
         f"{output}: {picture.shaded} vertices in {picture.seconds:.2f} s, clamped negative radiance "
         f"{abs(picture.clamped):.3%} of the energy" + _light_figures(baked, picture.suns, suns, bool(lighting.skies))
     )
-    kept = [*(["--view", side] if side else []), *(["--eye", ",".join(map(str, eye))] if eye else [])]
+    kept = [*(["--view", side] if side else []), *(["--up", up] if up else [])]
+    for name, place in (("--eye", eye), ("--look-at", look_at)):
+        kept += [name, ",".join(map(str, place))] if place else []
+    for name, value, usual in (("--fov", fov, USUAL_FOV), ("--rotate", rotate, 0.0), ("--exposure", exposure, 0.0)):
+        kept += [name, f"{value:g}"] if value != usual else []
     kept += [*(["--tone-map", tone_map] if tone_map != "none" else []), *(["--reflection"] if reflection else [])]
-    kept += ["--exposure", f"{exposure:g}"] if exposure else []
     if turntable is not None:
         say_next_of_asset(asset, *kept, lights=light)
         return

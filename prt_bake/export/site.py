@@ -109,13 +109,19 @@ def site_files(
     takes_light = any(each.takes_light for each in shown)
     if lights and not takes_light:
         say("the page shows the light that the asset was made for, and no other")
-    objects = [{"name": path.stem, "file": _add(files, path.name, path)} for path in paths]
+    objects = [{"name": _name(path, paths), "file": _add(files, path.name, path)} for path in paths]
     chosen = (_several(lights) or [example("sky.hdr")]) if takes_light else []
     entries = [_add_light(files, light, shown, mend, say) for light in chosen]
     description = {"generator": f"prtbake {program_version()}", "objects": objects, "lights": entries}
     listed = {"files": sorted({PurePosixPath(name).parts[0] for name in [*files, "site.json"]})}
     files["site.json"] = (as_text(description | listed) + "\n").encode()
     return files
+
+
+def _name(path: Path, paths: list[Path]) -> str:
+    """The stem of a file; of several with that stem, as `prtbake make` writes them, with the folder."""
+    several = [each.stem for each in paths].count(path.stem) > 1
+    return f"{path.resolve().parent.name}/{path.stem}" if several else path.stem
 
 
 def _several(paths: Paths) -> list[str | Path]:

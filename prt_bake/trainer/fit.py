@@ -102,10 +102,21 @@ def metadata_of(scene: Scene) -> dict[str, Any]:
         "eta": float(scene.eta),
         "roughness": float(np.mean(scene.roughness)),
         "normals": scene.normals,
+        **_material_of(scene),
     }
 
 
 def _in_words(network: NeuralBSSRDF) -> str:
     """What a network was trained on, and for how long."""
     scene, training = network.metadata.get("scene", "unknown scene"), network.metadata.get("training", {})
-    return f"{scene}, {training.get('steps', 0):,} steps"
+    return f"{scene}, {training.get('steps', 0)} steps"
+
+
+def _material_of(scene: Scene) -> dict[str, str]:
+    """The material of the object in words, by which variants are told apart; nothing for numbers and grids."""
+    table = scene.tables.medium
+    if table is None or table.material is None:
+        return {}
+    density = f", density {table.density:g}" if table.density != 1.0 else ""
+    mixed = f", mixed with {table.mix.material or 'numbers'}" if table.mix is not None else ""
+    return {"material": table.material + density + mixed}

@@ -69,13 +69,15 @@ def test_a_bake_for_one_eye_and_light_is_shown_from_there(prtbake: Run, tmp_path
 def test_a_picture_is_turned_and_a_turntable_opened(prtbake: Run, tmp_path: Path) -> None:
     asset = tmp_path / "a.h5"
     prtbake("bake", "model.pt", "sphere.ply", "-o", asset, *SMALL)
-    own = ("--light", "sun:0,1,0", "--view", "left", "--exposure", "-1", "--size", "8x8")
+    kept = ("--light", "sun:0,1,0", "--view", "left", "--up", "z", "--look-at", "0.1,0.0,0.0", "--fov", "25")
+    kept += ("--rotate", "40", "--exposure", "-1")
+    own = (*kept, "--size", "8x8")
     line = _next(prtbake("shade", asset, *own, "-o", tmp_path / "a.png").err)
     assert line[-2:] == ["-o", str(tmp_path / "a.webp")]
     turned = prtbake(*line, "--frames", "2")
     assert turned.code == 0, turned.err
     assert (tmp_path / "a.webp").is_file()
-    assert " ".join(_next(turned.err)).startswith(f"view {asset} --light sun:0,1,0 --view left --exposure -1")
+    assert " ".join(_next(turned.err)).startswith(f"view {asset} {' '.join(kept)}")
 
 
 def test_files_that_exist_are_not_written_by_the_next_command(prtbake: Run, folder: Path, tmp_path: Path) -> None:

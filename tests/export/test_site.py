@@ -52,6 +52,15 @@ def test_the_folder_has_the_page_the_asset_and_the_shipped_sky(page: Path, folde
     assert [path.name for path in target.parent.iterdir()] == ["site"]
 
 
+def test_assets_of_make_are_named_by_their_folders(page: Path, folder: Path, tmp_path: Path) -> None:
+    assets = [tmp_path / name / "asset.h5" for name in ("jade", "white jade")]
+    for asset in assets:
+        asset.parent.mkdir()
+        asset.write_bytes((folder / "asset.h5").read_bytes())
+    export_site(assets, tmp_path / "site", say=lambda _: None)
+    assert [each["name"] for each in described(tmp_path / "site")["objects"]] == ["jade/asset", "white jade/asset"]
+
+
 def test_files_of_one_name_get_names_of_their_own(page: Path, folder: Path, tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     other = tmp_path / "other" / "ASSET.h5"

@@ -11,7 +11,11 @@ from formats.asset.total_error import ErrorInterval
 from formats.errors import FormatError
 from formats.image import write_image
 from formats.mesh import build_mesh, write_mesh
+from formats.scene import read_scene
+from prt_bake import bake
 from prt_bake.inspection import describe, find_faults, find_remarks, overview
+from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF, save_model
+from prt_bake.trainer.fit import metadata_of
 from tests.network.functions.test_onnx import FLOAT
 from tests.network.functions.test_onnx import write as onnx_file
 from tests.shading.test_picture import make_asset
@@ -107,6 +111,24 @@ def test_lights_files_are_described_and_checked(tmp_path: Path) -> None:
     assert not find_faults(path)
     path.write_text('[[sky]]\nfile = "none.hdr"\n')
     assert "none.hdr" in find_faults(path)[0]
+
+
+def test_a_model_and_its_asset_name_their_material(tmp_path: Path) -> None:
+    """Variants of one object differ in nothing else that `info` could print."""
+    mesh = ball(1)
+    write_mesh(mesh, tmp_path / "a.ply")
+    text = '[object]\nmesh = "a.ply"\nunit = "cm"\n[medium]\n'
+    (tmp_path / "own.toml").write_text(text + "sigma_t = 1.0\nalbedo = 0.9\n")
+    assert "material" not in metadata_of(read_scene(tmp_path / "own.toml"))
+    mix = '[medium.mix]\nmaterial = "marble vein"\npattern = "veins"\nfeature = 1.0\n'
+    (tmp_path / "a.toml").write_text(text + 'material = "jade"\ndensity = 0.5\n' + mix)
+    metadata = metadata_of(read_scene(tmp_path / "a.toml"))
+    network = NeuralBSSRDF(NetworkSettings(features=8, width=16), (-1, -1, -1), 2.0, metadata=metadata)
+    save_model(network, tmp_path / "a.pt")
+    bake(network, mesh, rings=1, sectors=2, samples=18, lobes=0, out=tmp_path / "a.h5")
+    for name in ("a.pt", "a.h5"):
+        lines = overview(describe(tmp_path / name))
+        assert lines["material"] == "jade, density 0.5, mixed with marble vein"
 
 
 def test_a_checkpoint_is_named(tmp_path: Path) -> None:

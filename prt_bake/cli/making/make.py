@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -13,7 +13,7 @@ from prt_bake.cli.shared.next_step import say_next_of_asset
 from prt_bake.cli.shared.options import Exposure, ToneMap, View
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
-from prt_bake.cli.start.init import MaterialName, ObjectSize, draft_scene, write_draft
+from prt_bake.cli.start.init import MaterialName, ObjectSize, UpAxis, draft_scene, write_draft
 
 if TYPE_CHECKING:
     from formats.scene import Scene
@@ -61,6 +61,7 @@ def make(
         Path | None,
         typer.Option("--from", metavar="EARLIER.pt", help="Start from a model of the object, as of train."),
     ] = None,
+    up: UpAxis = None,
     light: Annotated[
         list[str] | None,
         typer.Option(
@@ -88,7 +89,7 @@ def make(
 
     scene.stat()  # a file that is not there is reported before any folder is made
     refuse_other_kinds({"SCENE": (scene, ("scene", "mesh")), "--light": (light, LIGHT), "--from": (start, ("model",))})
-    path, draft = _scene_file(scene, folder, material, size, force)
+    path, draft = _scene_file(scene, folder, material, size, up, force)
     lights = _lights(light, draft or _read(path))
     inputs = {"SCENE": scene, "--light": light, "--from": start}
     check_outputs({"--output": [folder / name for name in all_names()]}, inputs, folder)
@@ -120,21 +121,26 @@ def make(
 
 
 def _scene_file(
-    scene: Path, folder: Path, material: str | None, size: str | None, force: bool
+    scene: Path,
+    folder: Path,
+    material: str | None,
+    size: str | None,
+    up: Literal["y", "z"] | None,
+    force: bool,
 ) -> tuple[Path, "SceneDraft | None"]:
     """Return the scene, and its draft if it is that of a mesh and is not yet in the folder."""
     from formats.mesh import READABLE
 
     if scene.suffix.lower() not in READABLE:
-        if material is not None or size is not None:
-            raise typer.BadParameter("--material and --size are for meshes; a scene has its own, in [medium] and unit")
+        if (material, size, up) != (None, None, None):
+            raise typer.BadParameter("--material, --size and --up are for meshes; a scene has its own")
         return scene, None
     path = folder / f"{scene.stem}.toml"
     if path.exists() and not force:
-        _refuse_other_scene(path, scene, material, size)
+        _refuse_other_scene(path, scene, material, size, up)
         say(f"{path}: is there already, and is used; --force writes it anew")
         return path, None
-    draft = draft_scene(scene, material, size, path, "y")
+    draft = draft_scene(scene, material, size, path, up)
     if size is None:
         _refuse_opaque(draft)
     return path, draft
@@ -185,14 +191,16 @@ def _keys(scene: "Scene") -> dict[str, Any]:
     return {**written, "object.up": scene.up}
 
 
-def _refuse_other_scene(path: Path, mesh: Path, material: str | None, size: str | None) -> None:
+def _refuse_other_scene(
+    path: Path, mesh: Path, material: str | None, size: str | None, up: Literal["y", "z"] | None
+) -> None:
     """Raise StorageError if these options would write another scene; without them it is used as it is."""
-    if material is None and size is None:
+    if (material, size, up) == (None, None, None):
         return
-    if draft_scene(mesh, material, size, path, "y").text() != path.read_text(encoding="utf-8"):
+    if draft_scene(mesh, material, size, path, up).text() != path.read_text(encoding="utf-8"):
         raise StorageError(
-            f"{path}: is another scene than --material and --size ask for; leave them out to use it as it is, add "
-            "--force to make everything anew, or choose another folder"
+            f"{path}: is another scene than --material, --size and --up ask for; leave them out to use it as it is, "
+            "add --force to make everything anew, or choose another folder"
         )
 
 

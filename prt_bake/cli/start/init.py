@@ -38,6 +38,9 @@ ObjectSize = Annotated[
         "--size", metavar="LENGTH", help="Longest side of the object: 14cm, 55mm, 0.3m, 6in.", show_default=False
     ),
 ]
+UpAxis = Annotated[
+    Literal["y", "z"] | None, typer.Option("--up", help="Axis of the mesh that points up; by default y.")
+]
 
 
 def init(
@@ -48,7 +51,7 @@ def init(
         Path | None,
         optional_output("--output -o", "SCENE.toml", "Scene to write; by default NAME.toml, after the mesh.", ".toml"),
     ] = None,
-    up: Annotated[Literal["y", "z"], typer.Option(help="Axis of the mesh that points up.")] = "y",
+    up: UpAxis = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing scene file.")] = False,
 ) -> None:
     """Write a commented scene file for a mesh, ready to train.
@@ -71,7 +74,7 @@ def init(
             f"remark: {draft.material.name} of this size looks opaque, like stone; {better} looks translucent: "
             f"--size {better}"
         )
-        others = (*(() if output is None else ("-o", output)), *(() if up == "y" else ("--up", up)))
+        others = (*(() if output is None else ("-o", output)), *(() if up is None else ("--up", up)))
         say_next("prtbake", "init", mesh, "--material", material, "--size", better, *others, "--force")
     else:
         if appearance := remark(draft.light, 1.0):
@@ -97,9 +100,9 @@ def write_draft(draft: "SceneDraft") -> None:
 
 
 def draft_scene(
-    mesh_path: Path, material: str | None, size: str | None, path: Path, up: Literal["y", "z"]
+    mesh_path: Path, material: str | None, size: str | None, path: Path, up: Literal["y", "z"] | None
 ) -> "SceneDraft":
-    """Return the scene of a mesh, to be written to `path`.
+    """Return the scene of a mesh, to be written to `path`. Without `up` it is y, which formats of CAD are warned of.
 
     Raises typer.BadParameter for a material or a size that is not known, MeshError for a faulty mesh.
     """
@@ -114,7 +117,9 @@ def draft_scene(
     mesh = read_mesh(mesh_path)
     unit_in_mm = _unit_in_mm(mesh, mesh_path, length)
     normals: Literal["vertex", "face"] = "vertex" if good_normals(mesh) else "face"
-    return SceneDraft(path, mesh_path, mesh, substance, unit_in_mm, up, normals)
+    if up is None and mesh_path.suffix.lower() in (".stl", ".ply"):
+        say(f"{mesh_path}: the format names no axis; y is taken to point up; in files of Blender and CAD it is --up z")
+    return SceneDraft(path, mesh_path, mesh, substance, unit_in_mm, up or "y", normals)
 
 
 def _material(name: str | None) -> "Material":

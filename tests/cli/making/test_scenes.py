@@ -42,12 +42,27 @@ def test_a_mesh_gets_a_scene_in_the_folder(stand_ins, capsys):
     assert stand_ins.run("ball.obj", "-o", "out", "--material", "jade", "--size", "4cm") == []
     assert "out/ball.toml: is there already, and is used; --force writes it anew" in capsys.readouterr().err
     assert stand_ins.run("ball.obj", "-o", "out") == []
-    with pytest.raises(PrtbakeError, match=r"ball\.toml: is another scene than --material and --size ask for"):
+    with pytest.raises(PrtbakeError, match=r"ball\.toml: is another scene than --material, --size and --up ask for"):
         stand_ins.run("ball.obj", "-o", "out", "--material", "jade", "--size", "5cm")
 
 
+def test_a_mesh_of_cad_is_told_its_axis(stand_ins, capsys):
+    trimesh.load("ball.obj").export("ball.stl")
+    stand_ins.run("ball.stl", "-o", "lying", "--material", "jade", "--size", "4cm")
+    remark = "ball.stl: the format names no axis; y is taken to point up; in files of Blender and CAD it is --up z"
+    assert remark in capsys.readouterr().err
+    calls = stand_ins.run("ball.stl", "-o", "out", "--material", "jade", "--size", "4cm", "--up", "z")
+    assert "names no axis" not in capsys.readouterr().err
+    assert 'up = "z"' in Path("out/ball.toml").read_text()
+    assert calls[2][3] == "sun:0.6,0.6,0.6:2,1.9,1.7:3"
+    with pytest.raises(PrtbakeError, match=r"ball\.toml: is another scene than --material, --size and --up ask for"):
+        stand_ins.run("ball.stl", "-o", "out", "--up", "y", "--material", "jade", "--size", "4cm")
+    with pytest.raises(typer.BadParameter, match="--material, --size and --up are for meshes"):
+        stand_ins.run("wax.toml", "-o", "new", "--up", "z")
+
+
 def test_what_would_fail_later_is_refused_at_once(stand_ins):
-    with pytest.raises(typer.BadParameter, match="--material and --size are for meshes"):
+    with pytest.raises(typer.BadParameter, match="--material, --size and --up are for meshes"):
         stand_ins.run("wax.toml", "-o", "out", "--material", "jade")
     with pytest.raises(PrtbakeError, match=r"asset\.h5: expected a scene or a mesh \(SCENE\), found an asset"):
         stand_ins.run(stand_ins.asset, "-o", "out")
@@ -56,7 +71,7 @@ def test_what_would_fail_later_is_refused_at_once(stand_ins):
     write_mesh(flipped(read_mesh("ball.obj")), "ball.obj")
     with pytest.raises(PrtbakeError, match=r"ball\.obj: the faces are wound inside out; flip the normals"):
         stand_ins.run("wax.toml", "-o", "out")
-    for size, words in (("", "--material and --size are"), ("0.1", "training, bake and pictures take 2 minutes")):
+    for size, words in (("", "--material, --size and --up are"), ("0.1", "training, bake and pictures take 2 minutes")):
         with pytest.raises(typer.BadParameter, match=words):
             stand_ins.run("wax.toml", "-o", "out", *(["--minutes", size] if size else ["--size", "3cm"]))
     assert stand_ins.calls == []
