@@ -11,9 +11,12 @@ from formats.arguments import described
 from formats.atomic import existing, replacing
 from formats.errors import ImageError
 from formats.image.exr import Layers, read_exr, read_exr_alpha, read_exr_data, read_exr_layers, write_exr
+from formats.image.exr_header import read_parts
 from formats.image.gamut import Primaries, convert, matrix_to_rec709
-from formats.image.png import read_jpeg, read_jpeg_data, read_png, read_png_alpha, read_png_data, write_png
+from formats.image.png import COMMAND, read_jpeg, read_jpeg_data, read_png, read_png_alpha, read_png_data, write_png
+from formats.image.png_chunks import read_chunks
 from formats.image.rgbe import read_rgbe, refuse_unstorable, write_rgbe
+from formats.text import printable
 
 _READERS: dict[str, Callable[[Path], tuple[NDArray[np.float32], Primaries | None]]] = {
     **{".exr": read_exr, ".hdr": read_rgbe, ".png": read_png},
@@ -29,6 +32,8 @@ _HEADER = {
     *("screenWindowWidth", "type", "name", "version", "view", "chunkCount", "tiles", "chromaticities"),
 }
 """Attributes that an `.exr` has by its format."""
+_LONGEST_COMMAND = 10_000
+"""Characters that are shown."""
 
 
 def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
@@ -123,7 +128,7 @@ def write_image(
         image: linear radiance [H,W,3], row 0 on top.
         exposure: in stops. `.png` is multiplied by 2^exposure and clipped to [0,1]; other formats ignore it.
         layers: further layers [H,W,3] or [H,W] of an `.exr`, by name; other formats ignore them.
-        attributes: texts in the header of an `.exr`, by name; other formats ignore them.
+        attributes: texts in the header of an `.exr`, by name; a `.png` keeps "prtbake.command" alone, an `.hdr` none.
         alpha: [H,W] from 0 to 1, by which the image is premultiplied; the alpha channel of `.exr` and `.png`.
 
     Raises:
@@ -165,7 +170,17 @@ def write_image(
         elif suffix == ".hdr":
             write_rgbe(part, image)
         else:
-            write_png(part, image, exposure, alpha)
+            write_png(part, image, exposure, alpha, (attributes or {}).get(COMMAND, ""))
+
+
+def read_command(path: str | os.PathLike[str]) -> str:
+    """Read the command by which prtbake wrote an `.exr` or a `.png`; empty if there is none."""
+    texts: list[object] = []
+    if (suffix := Path(path).suffix.lower()) == ".png":
+        texts = [read_chunks(path).command]
+    elif suffix == ".exr":
+        texts = [part.header.get(COMMAND) for part in read_parts(path)]
+    return next((printable(text, _LONGEST_COMMAND) for text in texts if isinstance(text, str)), "")
 
 
 def _refuse_names(

@@ -13,6 +13,8 @@ from formats.image.encoding import encoding_of
 from formats.image.gamut import Primaries
 from formats.image.stored import read_stored
 
+COMMAND = "prtbake.command"
+"""Name of the text that holds the command of a picture."""
 _ROWS = 64
 """Rows that are looked up at a time: NumPy widens the indices."""
 
@@ -108,8 +110,9 @@ def write_png(
     image: NDArray[np.floating],
     exposure: float,
     alpha: NDArray[np.floating] | None = None,
+    command: str = "",
 ) -> None:
-    """Write linear radiance [H,W,3] times 2^exposure as sRGB, and the exposure in a text chunk.
+    """Write linear radiance [H,W,3] times 2^exposure as sRGB, and in text chunks the exposure and the command.
 
     If `alpha` [H,W] is given, the image is premultiplied by it.
     """
@@ -117,6 +120,8 @@ def write_png(
 
     texts = PngImagePlugin.PngInfo()
     texts.add_text("exposure", f"{exposure:g} EV")
+    if command:
+        texts.add_itxt(COMMAND, command)
     with open(path, "wb") as file:
         Image.fromarray(encode_srgb(image, exposure, alpha)).save(file, format="PNG", pnginfo=texts)
 

@@ -24,7 +24,8 @@ _WITH_ORIENTATION = (b"XML:com.adobe.xmp\0", b"Raw profile type exif\0")
 _MOST_TEXT, _MOST_DEFLATED_TEXT, _MOST_PROFILE = 2**24, 2**14, 2**24
 """Bytes. Pillow refuses a file with a text of more than 1 MiB that is compressed."""
 _EXPOSURE = re.compile(rb"exposure\0([-+.\de]{1,20} EV)", re.ASCII)
-"""What prtbake writes into its pictures."""
+_COMMAND = b"prtbake.command" + 5 * b"\0"
+"""What prtbake writes into its pictures: the exposure, and the command, in iTXt without compression and language."""
 
 
 @dataclass
@@ -41,6 +42,7 @@ class PngChunks:
         gamma: the gAMA chunk.
         chromaticity: the cHRM chunk: white, red, green and blue in x and y.
         exposure: with which prtbake wrote the picture.
+        command: that wrote the picture, of prtbake.
     """
 
     content: bytes = b""
@@ -52,6 +54,7 @@ class PngChunks:
     gamma: float | None = None
     chromaticity: tuple[float, ...] | None = None
     exposure: str = "0 EV"
+    command: str = ""
 
 
 def read_chunks(path: str | os.PathLike[str]) -> PngChunks:
@@ -91,6 +94,8 @@ def _add(found: PngChunks, kind: bytes, content: bytes, colour: int) -> None:
             found.profile = _inflated(content.partition(b"\0")[2][1:])
         case b"tEXt", _ if text := _EXPOSURE.fullmatch(content):
             found.exposure = text[1].decode()
+        case b"iTXt", _ if content.startswith(_COMMAND):
+            found.command = content.removeprefix(_COMMAND).decode("utf-8", "replace")
 
 
 def _inflated(content: bytes) -> bytes:

@@ -204,7 +204,7 @@ def render(
             options["workers"] = workers or (1 if device == "cuda" else os.cpu_count() or 1)
             picture = render_network(opened, surface, lighting, view, spp, seed, **options)
         stopped = stop() and not picture.complete
-    _write(output, picture, texts, exposure)
+    _write(output, picture, texts | {"prtbake.command": context.obj}, exposure)
     if picture.complete:
         checkpoint.unlink(missing_ok=True)
     if picture.negative > 0.001:

@@ -45,6 +45,7 @@ _LAYERS = "position, normal, vertex, radiance, subsurface, reflection"
 
 
 def shade(
+    context: typer.Context,
     asset: Annotated[Path, typer.Argument(metavar="ASSET", help="Asset that `prtbake bake` wrote.")],
     light: Lights,
     output: Annotated[Path, output_option("IMAGE", *IMAGE_SUFFIXES, *ANIMATION_SUFFIXES)],
@@ -152,7 +153,7 @@ def shade(
         "suns": suns,
     }
     if turntable is None:
-        picture = _write_picture(output, baked, lighting, view, options, exposure, tone_map)
+        picture = _write_picture(output, baked, lighting, view, options, exposure, tone_map, context.obj)
     else:
         turn = turntable, frames, seconds
         picture = _write_turntable(output, baked, lighting, view, options, exposure, tone_map, turn)
@@ -211,7 +212,14 @@ def _light_figures(baked: Any, count: int, treatment: str, beside_a_sky: bool) -
 
 
 def _write_picture(
-    output: Path, baked: Any, lighting: Any, view: Any, options: dict[str, Any], exposure: float, tone_map: str
+    output: Path,
+    baked: Any,
+    lighting: Any,
+    view: Any,
+    options: dict[str, Any],
+    exposure: float,
+    tone_map: str,
+    command: str,
 ) -> Any:
     from formats.image import write_image
     from formats.json_report import as_line
@@ -227,6 +235,7 @@ def _write_picture(
         exposure=0.0 if mapped else exposure,
         layers={"error": picture.error, "coverage": picture.coverage, **picture.layers},
         attributes={
+            "prtbake.command": command,
             "prtbake.shows": _shows(picture),
             "prtbake.error": "projection",
             "prtbake.picture_error": as_line(picture.errors and picture.errors.as_json()),

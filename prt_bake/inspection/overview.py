@@ -131,6 +131,7 @@ def _picture(figures: Figures) -> dict[str, str]:
         "mean radiance": ", ".join(f"{value:.4g}" for value in figures["mean radiance"]),
         "largest radiance": f"{figures['largest radiance']:.4g}",
         **{name: f"{figures[name]:,}" for name in bad if figures[name]},
+        "command": figures.get("command", ""),
     }
 
 

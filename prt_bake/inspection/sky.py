@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from formats.errors import ImageError, warn
+from formats.image.files import read_command
 from formats.image.gamut import convert, matrix_to_rec709
 from formats.image.rows import ImageRows, open_linear
 from prt_bake.lights.skies.pixels import checked
@@ -36,6 +37,7 @@ def describe(path: Path) -> dict[str, Any]:
         "largest radiance": largest,
         "values not finite": infinite,
         "values negative": negative,
+        **({"command": command} if (command := read_command(path)) else {}),
     }
 
 

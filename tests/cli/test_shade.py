@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -52,6 +53,18 @@ def test_shade_makes_a_picture(prtbake: Run, tmp_path: Path, suffix: str) -> Non
         layers = stored.layers
         assert layers["error"][15, 20].min() > 0.0
         assert (layers["error"][0, 0].max(), layers["coverage"][0, 0], layers["coverage"][15, 20]) == (0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".exr", ".hdr"])
+def test_a_picture_names_its_command(prtbake: Run, tmp_path: Path, suffix: str) -> None:
+    """A day later nobody knows of which asset and under which light it is."""
+    picture = tmp_path / f"jade à gauche{suffix}"
+    words = ("asset.h5", "--light", "sun:0.25,0.5,1:2,1.5,1:3", "--light", "sky.exr", "--rotate", "40", "--size", "8x6")
+    assert prtbake("shade", *words, "-o", picture).code == 0
+    lines = [line for line in prtbake("info", picture).out.splitlines() if line.startswith("command")]
+    assert [line.split(maxsplit=1)[1] for line in lines] == (
+        [] if suffix == ".hdr" else [shlex.join(["prtbake", "shade", *words, "-o", str(picture)])]
+    )
 
 
 def test_an_object_that_clips_is_remarked_where_it_clips(prtbake: Run, polished: Path, tmp_path: Path) -> None:
