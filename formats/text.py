@@ -23,6 +23,6 @@ def without_byte_order_mark(content: bytes, path: str | os.PathLike[str], error:
 
 
 def printable(text: str, longest: int = _LONGEST) -> str:
-    """Return a text of a file in one line of at most 60 characters, without control characters, for messages."""
+    """Return a text of a file in one line of at most `longest` characters, without control characters, for messages."""
     kept = "".join(letter if letter.isprintable() else "?" for letter in text[: longest + 1])
     return kept if len(kept) <= longest else f"{kept[: longest - 1]}…"
