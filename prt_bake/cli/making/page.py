@@ -4,10 +4,9 @@ from collections.abc import Iterator
 
 from formats.atomic import replacing
 from prt_bake.cli.making.record import ASSET, COMPACT, MODEL, PAGE, PICTURE, SUMMARY, TURNTABLE, Record
-from prt_bake.cli.making.steps import COMPRESSION_ERROR
+from prt_bake.cli.making.steps import COMPRESSION_ERROR, portable
 from prt_bake.cli.shared.plan import lobes_sentence
 from prt_bake.cli.shared.progress import in_words
-from prt_bake.shipped.examples import example
 
 
 def write_page(record: Record) -> None:
@@ -64,11 +63,10 @@ def _lines(record: Record) -> Iterator[str]:
 
 
 def _by_hand(record: Record) -> Iterator[str]:
-    """The commands of the steps. The shipped sky has its file name: its path is that of one installation."""
-    sky = example("sky.hdr")
+    """The commands of the steps."""
     commands = [step.command for step in record.steps]
-    named = [line.replace(str(sky), sky.name) for line in commands]
-    copied = f"; `{sky.name}` is the shipped sky, which `prtbake example DIR` copies" if named != commands else ""
+    named = [portable(line) for line in commands]
+    copied = "; `sky.hdr` is the shipped sky, which `prtbake example DIR` copies" if named != commands else ""
     yield f"The same by hand{copied}:"
     yield ""
     yield from (f"    {line}" for line in named)

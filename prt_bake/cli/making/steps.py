@@ -195,11 +195,12 @@ class Steps:
                 shutil.rmtree(journal_folder(path), ignore_errors=True)
         began = time.monotonic()
         words = [*arguments, *resume]
+        shown = portable(_text(words))
         try:
             # The page has what these commands print, in other words. Without the standalone mode a command returns its
             # exit code, such as 130 after Ctrl-C.
             with without_next(), contextlib.redirect_stdout(io.StringIO()):
-                code = self._root.main(args=words, prog_name="prtbake", obj=_text(words), standalone_mode=False)
+                code = self._root.main(args=words, prog_name="prtbake", obj=shown, standalone_mode=False)
             if code or (code := signals.exit_code(0)):  # a command that was stopped may end as if it were finished
                 raise typer.Exit(code)
         except (PrtbakeError, KeyboardInterrupt, typer.Exit):
@@ -261,6 +262,14 @@ def _share_ready(path: Path) -> float:
 
 def _minutes(seconds: float) -> str:
     return f"{max(seconds, 0.1) / 60.0:.3g}"
+
+
+def portable(line: str) -> str:
+    """The command with the file name alone of the shipped sky, whose path is that of one installation."""
+    from prt_bake.shipped.examples import example
+
+    sky = example("sky.hdr")
+    return line.replace(str(sky), sky.name)
 
 
 def _text(arguments: list[str]) -> str:

@@ -25,7 +25,7 @@ class StandIns:
     def __init__(self, asset):
         self.asset, self.seconds, self.now = asset, dict(SECONDS), 0.0
         self.calls, self.broken, self.slow, self.frame, self.part = [], "", False, 4.0, 1.0
-        self.by_ctrl_c, self.start = False, None
+        self.by_ctrl_c, self.start, self.shown_command = False, None, ""
         self.app = typer.Typer()
         for function in (make, self.train, self.bake, self.shade):
             self.app.command(function.__name__)(function)
@@ -92,6 +92,7 @@ class StandIns:
 
     def shade(
         self,
+        context: typer.Context,
         asset: Path,
         light: Annotated[list[str], typer.Option("--light")],
         output: Annotated[Path, typer.Option("-o")],
@@ -107,7 +108,7 @@ class StandIns:
     ) -> None:
         assert reflection
         assert seconds == (3.0 if turntable else 0.0)
-        shown = (tone_map, exposure, view)
+        shown, self.shown_command = (tone_map, exposure, view), context.obj
         self.finish("turntable" if turntable else "picture", output, frames, *map(str, light), *shown)
 
 

@@ -34,7 +34,8 @@ def test_the_steps_share_the_time(stand_ins, capsys):
     assert "![picture.png](picture.png)" in page
     assert "The same by hand; `sky.hdr` is the shipped sky, which `prtbake example DIR` copies:\n" in page
     assert "    prtbake shade out/asset.h5 --light sky.hdr --light sun:0.6,0.6,-0.6:2,1.9,1.7:3 " in page
-    assert str(example("sky.hdr").parent) not in page
+    assert str(example("sky.hdr").parent) not in page + stand_ins.shown_command
+    assert "--light sky.hdr" in stand_ins.shown_command
     captured = capsys.readouterr()
     assert captured.out.startswith("out/summary.md: error of the asset ")
     assert "out/asset.h5: " in captured.out
