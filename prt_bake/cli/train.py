@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from formats.errors import ModelError, PrtbakeError
+from formats.errors import PrtbakeError
 from formats.extras import EVALUATE, missing_sentence
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.next_step import command, say_next, unused
@@ -18,7 +18,6 @@ from prt_bake.cli.shared.progress import reporting, say, stopping
 from prt_bake.network.file_names import importance_path, report_paths, state_path
 
 if TYPE_CHECKING:
-    from prt_bake.network.bssrdf import NeuralBSSRDF
     from prt_bake.network.model import Model
     from prt_bake.trainer.train import TrainingProgress
 
@@ -125,6 +124,7 @@ def train(
     from formats.scene import read_scene
     from prt_bake.cli.shared import after_training
     from prt_bake.importance.own_lobes import own_lobes
+    from prt_bake.network.bssrdf import load_model
     from prt_bake.network.settings import PRESETS
     from prt_bake.trainer.budget import Budget
     from prt_bake.trainer.cores import select_device
@@ -132,8 +132,9 @@ def train(
 
     fitted: Callable[..., Model]
     if baseline is None:
-        settings = None if start is not None else replace(PRESETS[preset], seed=seed)
-        selected, fitted = select_device(device), partial(fit, settings=settings, start=_earlier(start))
+        earlier: Any = None if start is None else load_model(start)
+        settings = replace(PRESETS[preset], seed=seed) if start is None else None
+        selected, fitted = select_device(device), partial(fit, settings=settings, start=earlier)
     else:
         from prt_bake.baselines.door import train_baseline
 
@@ -212,18 +213,6 @@ def _refuse_ineffective(
     if baseline not in FROM_PICTURES:
         names = " and ".join(FROM_PICTURES)
         raise typer.BadParameter(f"--light: is for --baseline {names}; omit it, since other models learn for all light")
-
-
-def _earlier(path: Path | None) -> "NeuralBSSRDF | None":
-    """The model to start from."""
-    if path is None:
-        return None
-    from prt_bake.network.bssrdf import NeuralBSSRDF, load_model
-
-    model = load_model(path)
-    if not isinstance(model, NeuralBSSRDF):
-        raise ModelError(f"{path}: expected a neural BSSRDF to start from, found {model.kind}; train without --from")
-    return model
 
 
 def _to_go_on(network: "Model") -> str:

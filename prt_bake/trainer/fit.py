@@ -113,7 +113,7 @@ def _in_words(network: NeuralBSSRDF) -> str:
 
 
 def _material_of(scene: Scene) -> dict[str, str]:
-    """The material of the object in words, by which variants are told apart; nothing for numbers and grids."""
+    """The name and density of the object's material in words; nothing for numbers and grids."""
     table = scene.tables.medium
     if table is None or table.material is None:
         return {}

@@ -31,6 +31,7 @@ from prt_bake.trainer.samples.rows import (
 )
 
 _RATE_OF_EARLIER_WEIGHTS = 2e-3
+"""A compromise: small changes of a material gain from a lower rate, large ones from this one."""
 
 Schedule = Literal["cosine", "constant", "exponential"]
 
