@@ -88,13 +88,14 @@ def _scene(figures: Figures) -> dict[str, str]:
         *("material", "mixed with", "sigma_t", "albedo", "phase_g", "reflectance", "eta", "roughness", "normals"),
         *("longest side", "mean free path", "transport mean free path"),
     )
+    thin, crossing = figures.get("thin parts"), figures.get("diffuse light through thin parts")
     thickness = figures.get("longest side in transport mean free paths")
     inside = [name.removesuffix(": in") for name in figures if name.endswith(": in")]
     return {
         "object": _object(figures, figures["mesh"]),
         **{name: str(figures[name]) for name in names if name in figures},
         "thickness": f"{thickness} transport mean free paths; 5 to 50 look translucent" if thickness else "",
-        "light through a tenth": str(figures.get("diffuse light through a tenth of the object", "")),
+        "light through thin parts": f"{crossing}, of diffuse light through {thin}" if thin else "",
         "up": figures["up"],
         "inside": "; ".join(_part(figures, name) for name in inside),
     }

@@ -83,7 +83,7 @@ def appearance_remark(scene: Scene) -> str:
 
     A clear one with parts inside has none, since they are what is seen.
     """
-    light = translucency.of_medium(scene.medium, _longest_side(scene.parts[0]))
+    light = translucency.of_medium(scene.medium, scene.parts[0].mesh)
     if light is None or (light.clear and len(scene.parts) > 1):
         return ""
     return translucency.remark(light, scene.tables.object.length_in_mm)
@@ -126,12 +126,8 @@ def _describe_materials(part: Part, table: MediumTable | None) -> dict[str, str]
 
 
 def _describe_translucency(part: Part, length: float | None) -> dict[str, Any]:
-    light = None if part.medium is None else translucency.of_medium(part.medium, _longest_side(part))
+    light = None if part.medium is None else translucency.of_medium(part.medium, part.mesh)
     return {} if light is None else translucency.describe(light, length)
-
-
-def _longest_side(part: Part) -> float:
-    return float(np.ptp(part.mesh.bounds, axis=0).max())
 
 
 def _mended_meshes(parts: tuple[Part, ...]) -> list[str]:

@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.mesh import Mesh, open_edges, signed_volume
 from formats.scene.medium import Medium
 
 Array = NDArray[np.float64]
 
-_DEPTH = 0.1
-"""Thickness of a slab that stands for the thin parts of an object, as a share of its longest side."""
+_THIN = 0.1
+"""Thickness of the thin parts of an object as a share of its longest side, unless its walls are thinner."""
 _OPAQUE = 1e-3
 """Share of diffuse light through that slab below which nothing is seen to glow."""
 _CLEAR = 0.05
@@ -29,16 +30,17 @@ GUIDE = "translucent looks need an object of some {:g} to {:g} transport mean fr
 
 @dataclass(frozen=True, eq=False)
 class Translucency:
-    """Mean free paths in a homogeneous medium, and the light that crosses a tenth of the object, RGB, float64 [3].
+    """Mean free paths in a homogeneous medium, and the light that crosses thin parts of the object, RGB, float64 [3].
 
     Attributes:
         size: longest side of the object.
+        thin: thickness of its thin parts.
         mean_free_path: 1 / σt, between two events.
         transport: 1 / (σa + σs′), until the direction is forgotten; σs′ = σs (1 − g).
         albedo: σs′ / (σa + σs′); 0 without extinction.
         diffuse: 1 / √(3 σa (σa + σs′)), the distance over which diffuse light falls to 1/e; infinite without
             absorption.
-        crossing: diffuse transmittance of a slab as thick as a tenth of `size`, from 0 to 1.
+        crossing: diffuse transmittance of a slab of thickness `thin`, from 0 to 1.
 
     All lengths have the unit of `size`.
 
@@ -48,6 +50,7 @@ class Translucency:
     """
 
     size: float
+    thin: float
     mean_free_path: Array
     transport: Array
     albedo: Array
@@ -56,12 +59,12 @@ class Translucency:
 
     @property
     def opaque(self) -> bool:
-        """Whether no channel lets enough light through a tenth of the object to be seen."""
+        """Whether no channel lets enough light through the thin parts to be seen."""
         return bool(self.crossing.max() < _OPAQUE)
 
     @property
     def percent_crossing(self) -> str:
-        """The light that crosses a tenth of the object as text, of the channels that are not dark to two digits."""
+        """The light that crosses the thin parts as text, of the channels that are not dark to two digits."""
         return f"{channels(np.where(self.crossing < 5e-5, 0.0, 100.0 * self.crossing))} %"
 
     @property
@@ -83,8 +86,31 @@ class Translucency:
         return bool(self.albedo.max() >= _SCATTERS)
 
 
-def translucency(sigma_s: Array, sigma_a: Array, phase_g: float, size: float) -> Translucency:
+def lengths(mesh: Mesh) -> tuple[float, float]:
+    """Return the longest side of a mesh, and the thickness of its thin parts.
+
+    The latter is a tenth of the longest side, or twice the volume over the area if that is less: in a cup, a leaf or a
+    bowl, the thickness of the wall.
+
+    >>> from formats.mesh import build_mesh
+    >>> import trimesh
+    >>> plate = trimesh.creation.box((10.0, 10.0, 0.1))
+    >>> size, thin = lengths(build_mesh(plate.vertices, plate.faces))
+    >>> round(size, 3), round(thin, 3)
+    (10.0, 0.098)
+    """
+    longest = float(np.ptp(mesh.bounds, axis=0).max())
+    if open_edges(mesh):
+        return longest, _THIN * longest
+    return longest, min(_THIN * longest, 2.0 * abs(signed_volume(mesh)) / float(mesh.face_areas.sum()))
+
+
+def translucency(
+    sigma_s: Array, sigma_a: Array, phase_g: float, size: float, thin: float | None = None
+) -> Translucency:
     """Return how far light travels in a medium of scattering and absorption [3], in an object of this longest side.
+
+    Its thin parts are a tenth of that by default, as `lengths` says.
 
     The transmittance is that of the diffusion equation with extrapolated boundaries, 2/3 of a transport mean free path
     outside the slab, and its source one transport mean free path inside.
@@ -95,16 +121,17 @@ def translucency(sigma_s: Array, sigma_a: Array, phase_g: float, size: float) ->
         transport = 1.0 / reduced
         diffuse = 1.0 / np.sqrt(3.0 * sigma_a * reduced)
         mean_free_path = 1.0 / sigma_t
-    crossing = np.array([_slab(*pair, _DEPTH * size) for pair in zip(transport, diffuse, strict=True)])
-    return Translucency(size, mean_free_path, transport, albedo, diffuse, crossing)
+    thin = _THIN * size if thin is None else thin
+    crossing = np.array([_slab(*pair, thin) for pair in zip(transport, diffuse, strict=True)])
+    return Translucency(size, thin, mean_free_path, transport, albedo, diffuse, crossing)
 
 
-def of_medium(medium: Medium, size: float) -> Translucency | None:
-    """Return that of a scene's medium, of the mean over its grids; None without extinction."""
+def of_medium(medium: Medium, mesh: Mesh) -> Translucency | None:
+    """Return that of a part's medium, of the mean over its grids; None without extinction."""
     sigma_t, albedo = _mean(medium.sigma_t), _mean(medium.albedo)
     if not (sigma_t > 0.0).any():
         return None
-    return translucency(albedo * sigma_t, (1.0 - albedo) * sigma_t, medium.phase_g, size)
+    return translucency(albedo * sigma_t, (1.0 - albedo) * sigma_t, medium.phase_g, *lengths(mesh))
 
 
 def describe(light: Translucency, millimetres: float | None) -> dict[str, Any]:
@@ -116,7 +143,8 @@ def describe(light: Translucency, millimetres: float | None) -> dict[str, Any]:
         "transport mean free path": f"{channels(light.transport * scale)} {unit}",
         "diffuse mean free path": f"{channels(light.diffuse * scale)} {unit}",
         "longest side in transport mean free paths": channels(light.size / light.transport),
-        "diffuse light through a tenth of the object": light.percent_crossing,
+        "thin parts": f"{light.thin * scale:.3g} {unit}",
+        "diffuse light through thin parts": light.percent_crossing,
     }
 
 
@@ -129,8 +157,8 @@ def remark(light: Translucency, millimetres: float | None) -> str:
     )
     if light.opaque:
         return (
-            f"it will look opaque: {found}, and less than {_OPAQUE:.1%} of the light crosses a tenth of it; "
-            f"{_advice(light, scale, unit)}"
+            f"it will look opaque: {found}, and less than {_OPAQUE:.1%} of the light crosses its thin parts of "
+            f"{light.thin * scale:.3g} {unit}; {_advice(light, scale, unit)}"
         )
     if light.clear:
         straight = channels(100.0 * light.straight.round(3))

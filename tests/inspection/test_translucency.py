@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_bvp
 
-from formats.mesh import flipped, write_mesh
+from formats.mesh import build_mesh, flipped, write_mesh
 from formats.scene.materials import materials, to_scene_units
 from prt_bake.inspection.files import describe, find_faults, find_remarks
 from prt_bake.inspection.translucency import remark, translucency
@@ -126,6 +126,20 @@ def test_check_remarks_on_opaque_and_clear_objects(folder):
     assert "0.0002 scene units in an object of 2 scene units" in unknown
     seed = '[[inside]]\nname = "seed"\nmesh = "ball.ply"\nsurface = "diffuse"\nreflectance = 0.5\n'
     assert not any("clear" in remark for remark in remarks(folder, ("5.0", "0.2"), ("0.9\n", f"0.9\n{seed}")))
+
+
+def test_a_wall_is_the_thin_part_of_a_cup(folder):
+    """Much light crosses the wall of a shell, and none a tenth of its longest side."""
+    outer, inner = sphere(2), sphere(2)
+    faces = np.concatenate([outer.faces, inner.faces[:, ::-1] + len(outer.positions)])
+    write_mesh(build_mesh(np.concatenate([outer.positions, 0.99 * inner.positions]), faces), folder / "shell.ply")
+    dense = ("5.0", "200.0"), ("0.9", "0.95")
+    assert "its thin parts of 2 mm" in remarks(folder, *dense)[0]
+    assert remarks(folder, *dense, ("ball.ply", "shell.ply")) == []
+    found = describe(folder / "scene.toml")
+    assert found["thin parts"] == "0.0985 mm"
+    expected = translucency(np.full(3, 19.0), np.full(3, 1.0), 0.0, 20.0, 0.0985).percent_crossing
+    assert found["diffuse light through thin parts"] == expected
 
 
 def test_check_remarks_on_a_mesh_that_only_scenes_turn(folder):

@@ -13,7 +13,7 @@ import numpy as np
 from formats.mesh import Mesh
 from formats.scene.materials import Material, to_scene_units
 from formats.scene.units import MILLIMETRES, NO_UNIT
-from prt_bake.inspection.translucency import GUIDE, Translucency, channels, translucency
+from prt_bake.inspection.translucency import GUIDE, Translucency, channels, lengths, translucency
 
 _BYTES_A_VERTEX = 40_000
 """Of a default bake: 1,024 view bins, nine RGB harmonics in float16, compressed as HDF5 does."""
@@ -43,9 +43,9 @@ class SceneDraft:
     @property
     def light(self) -> Translucency:
         """How far light travels in the object; lengths are in millimetres."""
-        longest = self.unit_in_mm * float(np.ptp(self.mesh.bounds, axis=0).max())
+        longest, thin = (self.unit_in_mm * length for length in lengths(self.mesh))
         scattering, absorption = self.material.sigma_s_reduced, self.material.sigma_a
-        return translucency(np.array(scattering), np.array(absorption), 0.0, longest)
+        return translucency(np.array(scattering), np.array(absorption), 0.0, longest, thin)
 
     def text(self) -> str:
         """Return the file's content."""
@@ -91,7 +91,7 @@ class SceneDraft:
         yield f"# Transport mean free path: {channels(light.transport)} mm. The longest side of the object,"
         yield f"# {light.size:.4g} mm, is {channels(light.size / light.transport)} of them."
         yield f"# {GUIDE[0].upper()}{GUIDE[1:]}."
-        yield f"# Diffuse light that crosses a tenth of the object: {light.percent_crossing}."
+        yield f"# Diffuse light that crosses its thin parts, {light.thin:.3g} mm: {light.percent_crossing}."
 
     def _more_keys(self) -> Iterator[str]:
         feature = 0.1 * self.light.size / self.unit_in_mm
