@@ -181,7 +181,7 @@ def train_model(
             report("path tracing the validation queries")
             values = stream is not None and stream.rays == "values"
             walking = walking_device(chosen, synchronous or values, report)
-            data = PathTracedData(scene, stream or stream_for(walking), seed, synchronous, walking)
+            data = PathTracedData(scene, stream or stream_for(walking, synchronous), seed, synchronous, walking)
         run = Run(data, make(data, chosen), learning or learning_for(data, started), seed, timed, follow)
         if resume:
             assert output is not None

@@ -1,13 +1,13 @@
 """Sources of training data: the protocol, and walks that are traced while the network learns."""
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any, Literal, Protocol
 
 from formats.scene import Scene
 from prt_bake.network.model import TrainableModel
 from prt_bake.tracer.prepared import PreparedScene, prepare
-from prt_bake.trainer.cores import alternating_threads, concurrent_threads
+from prt_bake.trainer.cores import alternating_threads, available_cores, concurrent_threads
 from prt_bake.trainer.learner import LearningSettings, continued
 from prt_bake.trainer.references import Follow
 from prt_bake.trainer.samples.repeatable import AlternatingRenderer
@@ -17,6 +17,8 @@ from prt_bake.trainer.validation import Reference, final_errors, validation_refe
 
 _FIRST_FILL = 16
 """Batches in the buffer before the learner starts."""
+_PATHS_A_CORE = 4
+"""Most paths per query for each core of a processor with many, whose renderer is faster than the learner."""
 
 
 class TrainingData(Protocol):
@@ -113,10 +115,11 @@ def box_of(scene: Scene) -> Box:
     return Box(low, float((high - low).max()))
 
 
-def stream_for(device: str) -> StreamSettings:
-    """The renderer's settings for the device that path traces."""
+def stream_for(device: str, synchronous: bool = True) -> StreamSettings:
+    """The renderer's settings for the device that path traces. Synchronous runs are the same on any processor."""
     if device == "cpu":
-        return StreamSettings()
+        few = StreamSettings()
+        return few if synchronous else replace(few, exits=max(few.exits, _PATHS_A_CORE * available_cores()))
     from prt_bake.trainer.gpu.renderer import GPU_STREAM
 
     return GPU_STREAM
