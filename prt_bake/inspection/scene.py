@@ -112,16 +112,14 @@ def _describe_part(part: Part) -> dict[str, Any]:
 
 
 def _describe_materials(part: Part, table: MediumTable | None) -> dict[str, str]:
-    names = {
-        "material": table and table.material,
-        "mixed with": table and table.mix and table.mix.material,
-    }
     description = {}
-    for key, name in names.items():
-        if name:
-            material = find_material(name)
+    for key, used in {"material": table, "mixed with": table and table.mix}.items():
+        if used and used.material:
+            material = find_material(used.material)
             origin = "measured" if material.measured else "an estimate"
-            description[key] = f"{material.name}, {origin} with eta {material.eta:g}; the scene uses eta {part.eta:g}"
+            density = "" if used.density == 1.0 else f" of density {used.density:g}"
+            eta = f"{origin} with eta {material.eta:g}; the scene uses eta {part.eta:g}"
+            description[key] = f"{material.name}{density}, {eta}"
     return description
 
 

@@ -160,6 +160,8 @@ def test_info_reports_that_eta_is_not_that_of_the_material(folder):
     scene(folder, SCENE)
     description = describe(folder / "scene.toml")
     assert description["material"] == "marble, measured with eta 1.5; the scene uses eta 1"
+    scene(folder, SCENE + "density = 0.1\n")
+    assert describe(folder / "scene.toml")["material"].startswith("marble of density 0.1, measured with")
 
 
 FAULTS = [
