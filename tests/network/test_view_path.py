@@ -382,7 +382,7 @@ def test_an_older_network_of_a_clear_object_is_refused() -> None:
 @pytest.mark.statistics
 @pytest.mark.parametrize(
     ("eta", "sigma_t", "phase_g", "turns"),
-    [(1.0, 0.5, 0.0, 0), (1.4, 0.5, 0.0, 16), (1.4, 1.9, 0.0, 16), (1.4, 2.1, 0.0, 0), (1.4, 3.0, 0.5, 16)],
+    [(1.0, 0.5, 0.0, 0), (1.4, 0.5, 0.0, 64), (1.4, 1.9, 0.0, 64), (1.4, 2.1, 0.0, 0), (1.4, 3.0, 0.5, 64)],
 )
 def test_training_follows_paths_in_clear_refracting_objects(
     tmp_path: Path, eta: float, sigma_t: float, phase_g: float, turns: int
