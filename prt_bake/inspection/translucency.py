@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 _THIN = 0.1
 """Thickness of the thin parts of an object as a share of its longest side, unless its walls are thinner."""
 _OPAQUE = 1e-3
-"""Share of diffuse light through that slab below which nothing is seen to glow."""
+"""Share of diffuse light through the thin parts below which nothing is seen to glow."""
 _CLEAR = 0.05
 """Share of white light that crosses the longest side straight, above which an object looks almost clear.
 
@@ -99,10 +99,10 @@ def lengths(mesh: Mesh) -> tuple[float, float]:
     >>> round(size, 3), round(thin, 3)
     (10.0, 0.098)
     """
-    longest = float(np.ptp(mesh.bounds, axis=0).max())
-    if open_edges(mesh):
+    longest, area = float(np.ptp(mesh.bounds, axis=0).max()), float(mesh.face_areas.sum())
+    if open_edges(mesh) or area == 0.0:
         return longest, _THIN * longest
-    return longest, min(_THIN * longest, 2.0 * abs(signed_volume(mesh)) / float(mesh.face_areas.sum()))
+    return longest, min(_THIN * longest, 2.0 * abs(signed_volume(mesh)) / area)
 
 
 def translucency(

@@ -12,12 +12,12 @@ from formats.errors import ModelError, QueryError
 from prt_bake.network.bssrdf import load_model
 from prt_bake.network.file_names import state_path
 from prt_bake.tracer.prepared import prepare
-from prt_bake.trainer import cores, training_data
+from prt_bake.trainer import cores
 from prt_bake.trainer.history import every_tenth
 from prt_bake.trainer.samples.repeatable import AlternatingRenderer, ShuffledRows
 from prt_bake.trainer.samples.rows import Batch, Box, StreamSettings, ValueTracer, row_tracer
 from prt_bake.trainer.samples.stream import BackgroundRenderer
-from prt_bake.trainer.training_data import PathTracedData, box_of, stream_for
+from prt_bake.trainer.training_data import PathTracedData, box_of
 from tests.trainer.small_training import LEARNING, SMALL, STREAM, make_scene, train_small
 
 EAGER = dataclasses.replace(LEARNING, report_every=0.0, checkpoint_every=0.0, held_out_queries=16, held_out_walks=16)
@@ -119,24 +119,6 @@ def test_synchronous_runs_do_not_depend_on_the_number_of_cores(rough_scene, monk
 def test_synchronous_runs_need_steps(scene):
     with pytest.raises(QueryError, match="synchronous needs steps"):
         train_small(scene, None, synchronous=True)
-
-
-@pytest.mark.parametrize(("share", "learn"), [(0.25, (1, 1, 2, 4)), (0.5, (1, 2, 4, 8)), (0.0, (1, 1, 1, 1))])
-def test_renderer_and_learner_divide_the_cores_and_share_one(monkeypatch, share, learn):
-    monkeypatch.setattr(cores, "_numba_limit", lambda threads: threads)
-    for count, learner in zip((2, 4, 8, 16), learn, strict=True):
-        monkeypatch.setattr(cores, "available_cores", lambda count=count: count)
-        assert cores.concurrent_threads(share, "cpu") == (count - learner + 1, learner)
-        assert cores.concurrent_threads(share, "cuda") == (count, 1)
-    monkeypatch.setattr(cores, "available_cores", lambda: 1)
-    assert cores.concurrent_threads(share, "cpu") == (1, 1)
-
-
-def test_many_cores_trace_more_paths_except_in_synchronous_runs(monkeypatch):
-    for count, paths in ((2, 32), (8, 32), (16, 64), (64, 256)):
-        monkeypatch.setattr(training_data, "available_cores", lambda count=count: count)
-        assert stream_for("cpu", synchronous=False).exits == paths
-        assert stream_for("cpu", synchronous=True).exits == 32
 
 
 def test_rays_are_values_if_light_is_not_refracted_and_exits_otherwise(scene, rough_scene, tmp_path):
