@@ -71,6 +71,9 @@ class NetworkSettings:
     """Whether the view ray is refracted at the interface, and the normal is an input."""
     interfaces: int = 0
     """How often a view ray is bent or reflected at most in a clear object (`features.view_path`); 0: it is straight."""
+    branches: int = 1
+    """Most branches of such a ray, which interfaces split into a refracted and a reflected part; 1: it is refracted
+    unless it is totally reflected."""
     lobes: int = 0
     """Narrow lobes in ωi that the trunk predicts for each view (`prt_bake.network.lobes`)."""
     shape_places: int = 0
@@ -91,7 +94,7 @@ class NetworkSettings:
     inputs."""
 
     def __post_init__(self) -> None:
-        for name in ("features", "width", "layers", "light_features"):
+        for name in ("features", "width", "layers", "light_features", "branches"):
             if getattr(self, name) < 1:
                 raise ModelError(f"network settings: {name} must be at least 1, found {getattr(self, name)}")
         if self.activation not in ("relu", "silu"):
@@ -281,6 +284,7 @@ PRESETS: dict[str, NetworkSettings] = {
         ray_samples=12,
         tells_normal=True,
         interfaces=64,
+        branches=16,
         lobes=2,
         shape_places=4,
         grid_places=32,

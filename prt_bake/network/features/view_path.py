@@ -1,9 +1,9 @@
 """The path of a view ray through the meshes of a clear object and of the bodies inside it.
 
-What is seen in a clear object depends on every interface that the ray meets. At each it is refracted or, beyond the
-critical angle, totally reflected: it takes the way that most of the light takes. It ends where hardly anything is seen
-through the media any more. A ray that narrowly misses a body, or an edge, sees something else. Paths are therefore
-found in the meshes themselves, by Embree, and not in the network's coarse grids.
+What is seen in a clear object depends on every interface that the ray meets. At each one the path splits into a
+refracted and a reflected branch with the shares of the light that Fresnel's equations give. A branch ends where hardly
+anything is seen through the media any more. A ray that narrowly misses a body, or an edge, sees something else. Paths
+are therefore found in the meshes themselves, by Embree, and not in the network's coarse grids.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,9 +30,9 @@ class PathSamples(NamedTuple):
 
     Attributes:
         lengths: of the path at the points [N,K], in box sides.
-        points: [N,K,3], in box sides from the box's corner.
+        points: [N,K,3], in box sides from the box's corner; those of the brightest branch come first.
         opacity: probability [N] that light comes from the path at all.
-        leaving: direction [N,3] in which the path leaves the object for good; that of its begin if it does not.
+        leaving: direction [N,3] in which the first branch leaves the object for good; that of its begin if it does not.
     """
 
     lengths: Tensor
@@ -96,13 +96,14 @@ class Body(NamedTuple):
 class ViewPath:
     """Finds the paths of view rays through an object and bodies inside it."""
 
-    def __init__(self, bodies: Sequence[Body], samples: int, most: int) -> None:
-        """The object, then what it contains, a body after the one that contains it. Paths have `samples` points and are
-        bent or reflected at most `most` times.
+    def __init__(self, bodies: Sequence[Body], samples: int, most: int, branches: int = 1) -> None:
+        """The object, then what it contains, a body after the one that contains it. Paths have `samples` points, are
+        bent or reflected at most `most` times, and split into at most `branches`; with 1 they are refracted unless they
+        are totally reflected.
         """
         from prt_bake.geometry.embree import TriangleScene
 
-        self._arguments = tuple(bodies), samples, most
+        self._arguments = tuple(bodies), samples, most, branches
         firsts = np.cumsum([0, *(len(body.positions) for body in bodies)])
         positions = np.concatenate([body.positions for body in bodies])
         faces = np.concatenate([body.faces + first for body, first in zip(bodies, firsts, strict=False)])
@@ -117,7 +118,7 @@ class ViewPath:
             np.array([1.0, *(body.eta for body in bodies)]),
             np.array([0.0, *(body.attenuation for body in bodies)]),
         )
-        self._samples, self._most = samples, most
+        self._samples, self._most = samples, (most, branches)
         self._scene = TriangleScene(positions.astype(np.float32), faces.astype(np.uint32))
 
     def __call__(self, x: Tensor, back: Tensor) -> PathSamples:
@@ -148,7 +149,7 @@ def path_through(outer: Body, interior: Interior, settings: NetworkSettings) -> 
         positions, faces = body.places / STEPS, body.faces.astype(np.int64)
         corners = vertex_normals(positions, faces)[0][faces] if body.smooth else None
         bodies.append(Body(positions, faces, corners, body.parent, body.eta, attenuation))
-    return ViewPath(bodies, settings.ray_samples, settings.interfaces)
+    return ViewPath(bodies, settings.ray_samples, settings.interfaces, settings.branches)
 
 
 def media_of_masks(parents: Sequence[int]) -> NDArray[np.int64]:

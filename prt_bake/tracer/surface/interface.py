@@ -15,20 +15,9 @@ from typing import Any
 
 from prt_bake.jit.kernel_functions import called_function, inlined_function
 from prt_bake.mathematics.counter import uniform
+from prt_bake.mathematics.fresnel import fresnel
 
 MATCHED, SMOOTH, ROUGH = 0, 1, 2
-
-
-@inlined_function()
-def fresnel(cosine: Any, eta: Any) -> Any:
-    """Fresnel reflectance of unpolarised light at `cosine` ≥ 0; 1 for total internal reflection."""
-    squared = 1.0 - (1.0 - cosine * cosine) / (eta * eta)
-    if squared <= 0.0:
-        return 1.0
-    other = math.sqrt(squared)
-    parallel = (eta * cosine - other) / (eta * cosine + other)
-    perpendicular = (cosine - eta * other) / (cosine + eta * other)
-    return 0.5 * (parallel * parallel + perpendicular * perpendicular)
 
 
 @inlined_function()

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from prt_bake.jit.compilation import compiled
 from prt_bake.jit.kernel_functions import called_function
-from prt_bake.tracer.surface.interface import fresnel, masking, refract, visible_microfacet
+from prt_bake.mathematics.fresnel import fresnel
+from prt_bake.tracer.surface.interface import masking, refract, visible_microfacet
 
 CELLS = 48
 """Cells of the table over μ². Node j is at (j / CELLS)⁴, since the loss varies most at grazing angles."""
