@@ -13,7 +13,7 @@ from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.network.features.feature_grid import FeatureGrid
 from prt_bake.network.settings import EXIT_INPUTS, INPUTS_PER_CHANNEL, NetworkSettings
 
-_MAY_DIFFER = {"interfaces", "branches", "lobes", "material_channels", "grid_places"}
+_MAY_DIFFER = {"interfaces", "branches", "inner_bodies", "lobes", "material_channels", "grid_places"}
 """Settings that depend on the scene, and whose weights can be copied in part."""
 
 
@@ -28,8 +28,11 @@ def start_from(network: NeuralBSSRDF, earlier: NeuralBSSRDF) -> None:
     weights = {name: weight.detach().to(network.box_min.device) for name, weight in earlier.named_parameters()}
     with torch.no_grad():
         for name, weight in network.named_parameters():
-            if name in weights and weights[name].shape == weight.shape:
-                weight.copy_(weights[name])
+            if name in weights and weights[name].shape[0] == weight.shape[0]:
+                # The last inputs of late layers are the cosines, which not all networks have.
+                columns = min(weight.shape[-1], weights[name].shape[-1])
+                weight[..., columns:] = 0.0
+                weight[..., :columns] = weights[name][..., :columns]
         first = network.get_parameter("hidden.0.weight")
         _copy_columns(first, weights["hidden.0.weight"], network.settings, earlier.settings)
         if network.view is not None and earlier.view is not None:

@@ -85,6 +85,8 @@ def settings_for(settings: NetworkSettings, scene: Scene) -> NetworkSettings:
     reach the other side. Lobes are useless where hardly any light crosses unscattered, and where a smooth interface
     excludes that light from Ŝ.
     """
+    if len(scene.parts) == 1:
+        settings = replace(settings, inner_bodies=False)
     if is_unrefracted(scene):
         return replace(settings, tells_normal=False, interfaces=0, lobes=0)
     if not is_clear(scene, box_of(scene)):

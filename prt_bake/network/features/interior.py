@@ -8,6 +8,7 @@ corner.
 """
 
 import hashlib
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +26,10 @@ LEVELS = 15
 REACH = 3.0
 """Distances are clipped to ±REACH spacings of the grid and stored in steps of REACH / LEVELS spacings."""
 MAX_NODES = 1 << 22
+_OF_OBJECT = 0.4
+"""Occupancy where an object with bodies inside is perfectly clear; 1 where it is opaque."""
+_LAYER = 0.1
+"""Thickness, in box sides, of the layer of a medium that has its opacity."""
 MAX_EXTENT = 5.0
 """Most box sides that the grid covers along an axis; it reaches little beyond the box. Also the largest eta."""
 
@@ -96,9 +101,18 @@ class Interior:
         """Channels of the material."""
         return 0 if self.material is None else self.material.rows.shape[1]
 
-    def occupancy(self) -> Tensor:
-        """The share of the object [X,Y,Z] in the surroundings of each node, in [0, 1], float32."""
-        return torch.from_numpy(self.levels[0].astype(np.float32) * (REACH / LEVELS) + 0.5).clamp_(0.0, 1.0)
+    def occupancy(self, with_bodies: bool = False) -> Tensor:
+        """The share of the object [X,Y,Z] in the surroundings of each node, in [0, 1], float32.
+
+        with_bodies: if there are bodies inside, a mean of this share and of the opacity of what fills it.
+        """
+        shares = torch.from_numpy(self.levels.astype(np.float32) * (REACH / LEVELS) + 0.5).clamp_(0.0, 1.0)
+        if not with_bodies or len(shares) == 1:
+            return shares[0]
+        opacity = torch.zeros_like(shares[0])
+        for attenuation, share in zip(self.attenuation, shares, strict=True):
+            opacity.lerp_(torch.full_like(opacity, -math.expm1(-_LAYER * attenuation)), share)
+        return _OF_OBJECT * shares[0] + (1.0 - _OF_OBJECT) * opacity
 
     def as_json(self) -> dict[str, Any]:
         """All values except the levels, the meshes and the rows of the material, as plain JSON."""

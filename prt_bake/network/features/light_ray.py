@@ -35,14 +35,15 @@ class Level(NamedTuple):
 class LightRay(nn.Module):
     """Occupancy along rays towards the light; compiled on the CPU unless `torch_only` is set."""
 
-    def __init__(self, interior: Interior, samples: int) -> None:
+    def __init__(self, interior: Interior, samples: int, with_bodies: bool = False) -> None:
         """`samples` is the number of samples on each ray."""
         super().__init__()
         self.torch_only = False
         self.distances = [FIRST_DISTANCE * DISTANCE_RATIO**sample for sample in range(samples)]
         levels = [math.log2(max(_CONE_OPENING * distance / interior.spacing, 1.0)) for distance in self.distances]
         self.level_at = [round(level) for level in levels]
-        corner, spacing, grid = np.array(interior.corner), interior.spacing, _with_empty_border(interior.occupancy())
+        corner, spacing = np.array(interior.corner), interior.spacing
+        grid = _with_empty_border(interior.occupancy(with_bodies))
         self._corners, self._spacings = [], []
         for level in range(max(self.level_at, default=0) + 1):
             if level:

@@ -22,12 +22,12 @@ MAX_SLOPE = 0.4
 """The slope at a flat wall."""
 
 
-def shape_grid(interior: Interior) -> Tensor:
+def shape_grid(interior: Interior, with_bodies: bool = False) -> Tensor:
     """The shape features at the nodes of the interior's grid: float32 [X,Y,Z,SHAPE_INPUTS].
 
     They are the blurred occupancy and its slope along each axis, scale by scale.
     """
-    occupancy = interior.occupancy()
+    occupancy = interior.occupancy(with_bodies)
     features = []
     for scale in SHAPE_SCALES:
         sigma = scale / interior.spacing

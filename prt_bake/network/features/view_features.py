@@ -64,7 +64,8 @@ class ViewEncoding(NamedTuple):
         features: inputs of the trunk [N,·], without those of the learned grid.
         x: positions [N,3] in box sides from the box's corner.
         points, weight: points [N,K,3] along the view rays, and the weight [N] of means over them.
-        axes: directions [N,A,3] whose cosines to ωi are inputs: the normal, and the slopes of the shape around x.
+        axes: directions [N,A,3] whose cosines to ωi are inputs: the normal, and the slopes of the shape around x, and
+            at the middle of the view ray in an object with bodies inside.
     """
 
     features: Tensor
@@ -100,7 +101,7 @@ class ViewFeatures(nn.Module):
         self._has_exit, self._has_shape = settings.lobes > 0, settings.shape_places > 0
         spacing = self._samples / max(settings.shape_places - 1, 1)
         self._shape_at = [int(spacing * (place + 0.5)) for place in range(settings.shape_places - 1)]
-        self._axes = settings.light_axes
+        self._axes, self._sloped = settings.light_axes, list(settings.sloped_places)
         self._unaveraged = round(_UNAVERAGED_SHARE * settings.features) if settings.tells_normal else 0
         self._gain = 1.0 / max(-math.expm1(-_TYPICAL_LENGTH * max(interior.attenuation)), _MIN_OPACITY)
         for name, tensor in (
@@ -108,13 +109,13 @@ class ViewFeatures(nn.Module):
             ("levels", torch.from_numpy(interior.levels.astype("float32")) / LEVELS),
             ("corner", torch.tensor(interior.corner, dtype=torch.float32)),
             ("edges", interval_edges(interior, settings.interfaces > 0)),
-            ("shape", shape_grid(interior) if self._has_shape else torch.empty(0)),
+            ("shape", shape_grid(interior, settings.inner_bodies) if self._has_shape else torch.empty(0)),
         ):
             self.register_buffer(name, tensor, persistent=False)
         self._length = float(self.edges[-1])
         self.register_buffer("material", self._material_grid(), persistent=False)
         places = settings.light_places // len(LIGHT_RAY_ORIGINS)
-        self.light = LightRay(interior, places) if places else None
+        self.light = LightRay(interior, places, settings.inner_bodies) if places else None
         self.grid: FeatureGrid | None = None
         if settings.grid_places:
             self.grid = FeatureGrid(interior, settings.grid_places, settings.grid_numbers, self._length)
@@ -167,7 +168,8 @@ class ViewFeatures(nn.Module):
         parts += [lengths * (2.0 / self._length), weight[:, None]]
         if self._has_shape:
             shape = self._shape(torch.stack([x, *(points[:, at] for at in self._shape_at)], dim=1))
-            slopes = shape[:, :SHAPE_INPUTS].reshape(len(x), len(SHAPE_SCALES), -1)[..., 1:]
+            by_place = shape.reshape(len(x), -1, len(SHAPE_SCALES), SHAPE_INPUTS // len(SHAPE_SCALES))
+            slopes = by_place[:, self._sloped, :, 1:].flatten(1, 2)
             axes = torch.cat((axes, slopes / SLOPE_SCALE / MAX_SLOPE), dim=1)
             parts.append(shape)
         if self.interior.material is not None:
