@@ -59,6 +59,7 @@ VARIANTS = {
     "view rays of 64 bends": Variant(network={"interfaces": 64}),
     "view rays of 256 bends": Variant(network={"interfaces": 256}),
     "view rays in one branch": Variant(network={"branches": 1}),
+    "without the bodies inside": Variant(network={"inner_bodies": False}),
     "width 192": Variant(network={"width": 192}),
     "width 256": Variant(network={"width": 256}),
     "spread of G 2.4 (positions)": Variant(network={"position_spread": 2.4}),

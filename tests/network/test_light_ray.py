@@ -142,7 +142,13 @@ def test_late_layers_see_occupancy_from_x_and_from_within() -> None:
 
 
 @pytest.mark.parametrize(
-    "changes", [{"angle_powers": 0}, {"angle_powers": 2}, {"light_cosines": True, "shape_places": 4}]
+    "changes",
+    [
+        {"angle_powers": 0},
+        {"angle_powers": 2},
+        {"light_cosines": True, "shape_places": 4, "inner_bodies": False},
+        {"light_cosines": True, "shape_places": 4, "inner_bodies": True},
+    ],
 )
 def test_all_evaluations_see_the_same_inputs(changes: dict[str, Any]) -> None:
     model = network(**changes)
@@ -162,13 +168,16 @@ def test_all_evaluations_see_the_same_inputs(changes: dict[str, Any]) -> None:
     np.testing.assert_allclose(block[:, 0], expected, **close)
 
 
-@pytest.mark.parametrize(("tells_normal", "shape_places"), [(True, 0), (False, 4), (True, 4)])
-def test_late_layers_see_cosines_to_the_normal_and_to_the_slopes_around_x(
-    tells_normal: bool, shape_places: int
+@pytest.mark.parametrize(
+    ("tells_normal", "shape_places", "inner_bodies"),
+    [(True, 0, False), (True, 0, True), (False, 4, False), (True, 4, False), (True, 4, True), (False, 1, True)],
+)
+def test_late_layers_see_cosines_to_the_normal_and_to_slopes(
+    tells_normal: bool, shape_places: int, inner_bodies: bool
 ) -> None:
-    model = network(
-        light_cosines=True, tells_normal=tells_normal, shape_places=shape_places, light_places=0, angle_powers=0
-    )
+    """The slopes of the shape around x, and around the middle of the view ray if bodies are shown."""
+    chosen = {"tells_normal": tells_normal, "shape_places": shape_places, "inner_bodies": inner_bodies}
+    model = network(light_cosines=True, light_places=0, angle_powers=0, **chosen)
     incident, positions, outgoing = views(30)
     encoding = model.encode_views(positions, outgoing)
     assert encoding is not None
@@ -176,12 +185,14 @@ def test_late_layers_see_cosines_to_the_normal_and_to_the_slopes_around_x(
     first = 2 * model.settings.features
     if tells_normal:
         axes.append(encoding.features[:, None, first : first + 3] / 3.0)
-    if shape_places:
-        shape = trilinear(shape_grid(rough_interior(30)), 1.2 / 29, encoding.x + 0.1)
+    at = [encoding.x] if shape_places else []
+    at += [encoding.points[:, 6]] if shape_places > 1 and inner_bodies else []
+    for points in at:
+        shape = trilinear(shape_grid(rough_interior(30)), 1.2 / 29, points + 0.1)
         axes.append(shape.reshape(30, 4, 4)[..., 1:] / 2.8)
     expected = np.einsum("ndc,nac->nda", incident.numpy(), torch.cat(axes, dim=1).numpy())
     pairs = model.pair_features(incident, outgoing, encoding.frame)
-    assert pairs.shape[-1] == model.settings.pair_inputs == int(tells_normal) + shape_places
+    assert pairs.shape[-1] == model.settings.pair_inputs == int(tells_normal) + 4 * len(at)
     np.testing.assert_allclose(pairs, expected, atol=2e-3)
     outputs = model.radiance(incident, positions, outgoing).detach().numpy()
     with torch.no_grad():

@@ -72,6 +72,21 @@ def test_inputs_that_only_one_of_them_has_change_no_value() -> None:
     np.testing.assert_allclose(values(begun), values(without), atol=1e-5)
 
 
+@pytest.mark.parametrize("before", [False, True])
+def test_cosines_that_only_one_of_them_has_change_no_value(before: bool) -> None:
+    """Late layers of an earlier network do not see the slopes along the view ray, or those of the new one do not."""
+    narrow = replace(LOBED, shape_places=4, light_places=4, inner_bodies=False)
+    wide = replace(narrow, inner_bodies=True)
+    assert wide.light_axes == narrow.light_axes + 4
+    earlier = trained(wide if before else narrow, half_space(3.0))
+    if before:
+        with torch.no_grad():
+            for layer in range(narrow.trunk, narrow.layers):
+                earlier.get_parameter(f"hidden.{layer}.weight")[:, -4:] = 0.0
+    begun = start(narrow if before else wide, half_space(3.0), earlier)
+    np.testing.assert_allclose(values(begun), values(earlier), atol=1e-5)
+
+
 def test_lobes_that_only_the_new_network_has_keep_their_own_weights() -> None:
     fresh = network(LOBED, half_space(3.0))
     begun = start(LOBED, half_space(3.0), trained(replace(LOBED, lobes=0), half_space(3.0)))

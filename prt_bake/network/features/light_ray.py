@@ -36,7 +36,7 @@ class LightRay(nn.Module):
     """Occupancy along rays towards the light; compiled on the CPU unless `torch_only` is set."""
 
     def __init__(self, interior: Interior, samples: int, with_bodies: bool = False) -> None:
-        """`samples` is the number of samples on each ray."""
+        """`samples` is the number of samples on each ray; with_bodies: `Interior.occupancy`."""
         super().__init__()
         self.torch_only = False
         self.distances = [FIRST_DISTANCE * DISTANCE_RATIO**sample for sample in range(samples)]

@@ -120,11 +120,12 @@ def _advance(branch: Any, reach: Any, depth: Any, segments: Any, count: Any) -> 
 
 @compiled(nogil=True)
 def _split(ratio: Any, normal: Any, before: Any, behind: Any, both: Any, branch: Any, rest: Any) -> None:
-    """Splits the light of a branch at an interface: the larger part goes on in it, the other one in `rest`.
+    """Splits the light of a branch at an interface: the larger part stays in it, and `rest` gets the other one.
 
     ratio: index before over behind. Unless `both` are followed, all light is refracted where it can be.
     """
-    cosine = min(1.0, -(branch[_TOWARDS] * normal[0] + branch[_TOWARDS + 1] * normal[1] + branch[_TOWARDS + 2] * normal[2]))
+    d = branch[_TOWARDS : _TOWARDS + 3]
+    cosine = min(1.0, -(d[0] * normal[0] + d[1] * normal[1] + d[2] * normal[2]))
     reflectance = fresnel(cosine, 1.0 / ratio)
     if not both and reflectance < 1.0:
         reflectance = 0.0

@@ -25,7 +25,7 @@ MAX_SLOPE = 0.4
 def shape_grid(interior: Interior, with_bodies: bool = False) -> Tensor:
     """The shape features at the nodes of the interior's grid: float32 [X,Y,Z,SHAPE_INPUTS].
 
-    They are the blurred occupancy and its slope along each axis, scale by scale.
+    They are the blurred occupancy (with_bodies: `Interior.occupancy`) and its slope along each axis, scale by scale.
     """
     occupancy = interior.occupancy(with_bodies)
     features = []
