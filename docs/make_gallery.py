@@ -69,12 +69,17 @@ class Subject:
     def asset(self) -> tuple[prt.Asset, Facts]:
         """The asset, and the facts of its bake."""
         model, options = self.model(), self.quality["bake"] | self.entry.get("bake", {})
+        times = self.entry.get("subdivide", 0)
 
         def bake(path: Path) -> None:
+            mesh = self.scene.mesh
+            for _ in range(times):
+                mesh = prt.Mesh.from_trimesh(mesh.to_trimesh().subdivide())
             workers = os.cpu_count() or 1
-            prt.bake(prt.load_model(model), self.scene.mesh, out=path, workers=workers, resume=True, **options)
+            prt.bake(prt.load_model(model), mesh, out=path, workers=workers, resume=True, **options)
 
-        made = self.files.make(f"{self.name}.h5", {"model": sha256(model), "bake": options}, timed(bake))
+        inputs = {"model": sha256(model), "bake": options} | ({"subdivided": times} if times else {})
+        made = self.files.make(f"{self.name}.h5", inputs, timed(bake))
         return prt.read_asset(made.path), made.facts
 
     def write_live(self, error: float, path: Path) -> None:

@@ -55,7 +55,6 @@ VARIANTS = {
     "grid of 64 nodes": Variant(network={"grid_places": 64}),
     "24 samples of the ray": Variant(network={"ray_samples": 24}),
     "8 places of the shape": Variant(network={"shape_places": 8}),
-    "12 places of the shape": Variant(network={"shape_places": 12}),
     "view rays of 16 bends": Variant(network={"interfaces": 16}),
     "view rays of 64 bends": Variant(network={"interfaces": 64}),
     "view rays of 256 bends": Variant(network={"interfaces": 256}),
