@@ -12,6 +12,7 @@ from prt_bake.network.bssrdf import PRESETS, NetworkSettings
 from prt_bake.network.features.interior import LEVELS, REACH, Interior
 from prt_bake.network.features.light_ray import LightRay
 from prt_bake.network.features.shape import shape_grid
+from prt_bake.network.features.view_features import ViewFeatures
 from prt_bake.trainer.fit import settings_for
 
 NODES, SPACING, RADIUS = 61, 0.02, 0.2
@@ -67,6 +68,16 @@ def test_bodies_are_not_shown_unless_asked_for() -> None:
     del older["inner_bodies"], older["branches"]
     read = NetworkSettings.from_json(older)
     assert (read.inner_bodies, read.branches) == (False, 1)
+
+
+@pytest.mark.parametrize("shown", [False, True])
+def test_a_network_sees_bodies_if_its_settings_say_so(shown: bool) -> None:
+    interior = cube_with_a_ball(0.0, 1e3)
+    settings = replace(PRESETS["measured"], inner_bodies=shown, material_channels=0)
+    view = ViewFeatures(settings, torch.zeros((settings.features, 6)), interior)
+    assert view.light is not None
+    torch.testing.assert_close(view.shape, shape_grid(interior, shown), rtol=0, atol=0)
+    assert (float(view.light.pyramid()[0].grid[CENTRE, CENTRE, 10]) < 0.5) == shown
 
 
 def test_a_ball_in_a_clear_cube_shadows_what_is_behind_it() -> None:

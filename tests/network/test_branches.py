@@ -1,5 +1,7 @@
 """View rays that interfaces split: what is seen by reflection and by refraction, with the light that each brings."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -8,8 +10,9 @@ from numpy.typing import NDArray
 
 from prt_bake.mathematics.fresnel import fresnel
 from prt_bake.network.bssrdf import PRESETS
+from prt_bake.network.features.interior import LEVELS, Interior
 from prt_bake.network.features.path_kernel import _LEAST_BRANCH
-from prt_bake.network.features.view_path import Body, PathSamples, ViewPath
+from prt_bake.network.features.view_path import Body, PathSamples, ViewPath, path_through
 
 Array = NDArray[np.float64]
 ETA, TURNS, BRANCHES = 1.5, 64, PRESETS["measured"].branches
@@ -81,6 +84,32 @@ def test_the_larger_part_comes_first() -> None:
     assert float(up.points[0, -1, 2]) <= 1.0
     assert float(up.lengths.max()) > 20.0
     assert float(down.leaving[0, 2]) < 0.0
+    angle = np.radians(CRITICAL - 1e-3)
+    # It never leaves: this is the direction of its begin.
+    np.testing.assert_allclose(up.leaving[0], [np.sin(angle), 0.0, -np.cos(angle)], atol=1e-6)
+
+
+def test_points_lie_where_the_light_of_a_reflected_branch_comes_from() -> None:
+    """After k reflections (R e⁻ᵗ)ᵏ of the light is left, and falls exponentially up to the next one."""
+    degrees, attenuation, samples = CRITICAL - 0.2, 0.5, 50
+    across = 1.0 / np.cos(np.radians(degrees))
+    left = reflectance(degrees) * np.exp(-attenuation * across)
+    found = seen([plate(0.0, 1.0, attenuation)], degrees, samples)
+    begin = left ** np.arange(TURNS)
+    light = np.concatenate([[0.0], np.cumsum(begin * -np.expm1(-attenuation * across))])
+    share = (np.arange(samples) + 0.5) / samples * float(found.opacity[0])
+    number = np.searchsorted(light, share) - 1
+    within = -np.log1p(-(share - light[number]) / begin[number]) / attenuation
+    assert number.max() >= 2
+    np.testing.assert_allclose(found.lengths[0], number * across + within, rtol=1e-5, atol=1e-6)
+
+
+def test_a_network_follows_as_many_branches_as_its_settings_say() -> None:
+    view = ViewPath([plate(0.0, 1.0, 1.0)], 3, 64, 5)
+    interior = Interior(np.full((1, 2, 2, 2), LEVELS, np.int8), (-1.0, -1.0, -1.0), 3.0, (1.0,), ETA)
+    settings = replace(PRESETS["measured"], branches=5, ray_samples=3, shape_places=2)
+    path = path_through(plate(0.0, 1.0, 1.0), interior, settings)
+    assert path.__reduce__()[1][1:] == view.__reduce__()[1][1:]
 
 
 def test_many_branches_end() -> None:
