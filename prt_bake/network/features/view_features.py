@@ -101,7 +101,7 @@ class ViewFeatures(nn.Module):
         self._has_exit, self._has_shape = settings.lobes > 0, settings.shape_places > 0
         spacing = self._samples / max(settings.shape_places - 1, 1)
         self._shape_at = [int(spacing * (place + 0.5)) for place in range(settings.shape_places - 1)]
-        self._axes, self._sloped = settings.light_axes, list(settings.sloped_places)
+        self._axes, self._sloped = settings.light_axes, settings.sloped_places
         self._unaveraged = round(_UNAVERAGED_SHARE * settings.features) if settings.tells_normal else 0
         self._gain = 1.0 / max(-math.expm1(-_TYPICAL_LENGTH * max(interior.attenuation)), _MIN_OPACITY)
         for name, tensor in (
@@ -169,8 +169,8 @@ class ViewFeatures(nn.Module):
         if self._has_shape:
             shape = self._shape(torch.stack([x, *(points[:, at] for at in self._shape_at)], dim=1))
             by_place = shape.reshape(len(x), -1, len(SHAPE_SCALES), SHAPE_INPUTS // len(SHAPE_SCALES))
-            slopes = by_place[:, self._sloped, :, 1:].flatten(1, 2)
-            axes = torch.cat((axes, slopes / SLOPE_SCALE / MAX_SLOPE), dim=1)
+            slopes = [by_place[:, place, :, 1:] / SLOPE_SCALE / MAX_SLOPE for place in self._sloped]
+            axes = torch.cat((axes, *slopes), dim=1)
             parts.append(shape)
         if self.interior.material is not None:
             parts += self._material(x, points)
