@@ -30,9 +30,10 @@ class PathSamples(NamedTuple):
 
     Attributes:
         lengths: of the path at the points [N,K], in box sides.
-        points: [N,K,3], in box sides from the box's corner; those of the brightest branch come first.
+        points: [N,K,3], in box sides from the box's corner; first those of the branch that keeps the larger part of the
+            light at every interface.
         opacity: probability [N] that light comes from the path at all.
-        leaving: direction [N,3] in which the first branch leaves the object for good; that of its begin if it does not.
+        leaving: direction [N,3] in which that branch leaves the object for good; that of its begin if it does not.
     """
 
     lengths: Tensor
