@@ -107,6 +107,13 @@ def up_to(transport: Any, degree: int) -> Any:
     return transport.up_to(degree) if hasattr(transport, "up_to") else transport
 
 
+def smooth(transport: Any, degree: int) -> Any:
+    """The transport limited by its method `smooth`, if it has one: Ŝ in all bands, without what is too narrow for few
+    directions to resolve, except for its bands up to `degree`.
+    """
+    return transport.smooth(degree) if hasattr(transport, "smooth") else transport
+
+
 def transport_property(transport: Any, name: str, default: Any) -> Any:
     """A property of the transport, such as its index of refraction, from its metadata or its attributes."""
     metadata = getattr(transport, "metadata", None) or {}

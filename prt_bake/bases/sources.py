@@ -61,7 +61,7 @@ class OfModel:
         self._directions = cell_directions(self.cells, up)
         settings = getattr(transport, "settings", None)
         self.lobes = int(getattr(settings, "lobes", 0))
-        self._without_lobes = prepared(on_mesh(transport.up_to(2), mesh), "float32", "cpu") if self.lobes else None
+        self._without_lobes = prepared(on_mesh(transport.smooth(2), mesh), "float32", "cpu") if self.lobes else None
 
     def squares(self, points: Points) -> Array:
         """See `Source`."""

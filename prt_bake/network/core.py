@@ -24,6 +24,7 @@ from prt_bake.network.features.interior import Interior
 from prt_bake.network.features.view_features import ViewEncoding, ViewFeatures
 from prt_bake.network.features.view_path import Body, ViewPath, path_through
 from prt_bake.network.lobes import LOBE_PARAMETERS, Lobes, decode_lobes, evaluate_lobes
+from prt_bake.network.low_bands import LOW_DEGREE, LowBands, low_harmonics, low_radiance
 from prt_bake.network.model import NEURAL_BSSRDF, TrainableModel
 from prt_bake.network.queries import float64_tensor, queries, refuse_outside
 from prt_bake.network.settings import EXIT_INPUTS, NetworkSettings
@@ -112,6 +113,7 @@ class NetworkCore(TrainableModel):
         lobes = self.settings.lobes
         self.lobes = nn.Linear(self.settings.width, LOBE_PARAMETERS * lobes) if lobes else None
         self._initialise(generator)
+        self.low = LowBands(self.settings, generator) if self.settings.low_width else None
         self.surface: Surface | None = None
         """The object's mesh, which gives exact normals: see `on`."""
         self.path: ViewPath | None = None
@@ -119,7 +121,9 @@ class NetworkCore(TrainableModel):
         self._warned = [False]
         """Whether `warn_without_mesh` has warned; shared with the copies that share the weights."""
         self.band: int | None = None
-        """The degree up to which lobes are evaluated; None for all bands: see `up_to`."""
+        """The degree up to which lobes are evaluated; None for all bands: see `smooth` and `up_to`."""
+        self.only_low = False
+        """Whether Ŝ is that of the low bands up to `band`: see `up_to`."""
         self.view = None if interior is None else ViewFeatures(self.settings, self.frequencies, interior)
 
     def _draw_frequencies(self, generator: torch.Generator) -> None:
@@ -155,6 +159,9 @@ class NetworkCore(TrainableModel):
 
     def radiance(self, incident: Tensor, positions: Tensor, outgoing: Tensor) -> Tensor:
         """Ŝ [N,D,3] in 1/sr, as `forward`, for D incident directions per query: incident [N,D,3]."""
+        if self.only_low:
+            low = self.low_coefficients(positions, outgoing)
+            return low_radiance(low, low_harmonics(incident), self.band or 0) * self.output_scale
         smooth, lobes = self.components(incident, positions, outgoing)
         total = smooth if lobes is None else smooth.float() + evaluate_lobes(lobes, incident, self.band)
         return total * self.output_scale
@@ -191,6 +198,15 @@ class NetworkCore(TrainableModel):
             if self.lobes is not None and number == self.settings.trunk:
                 lobes = decode_lobes(self.lobes(h)[:, 0], features[:, -EXIT_INPUTS:])
         return self.output(h), lobes
+
+    def low_coefficients(self, positions: Tensor, outgoing: Tensor, encoding: ViewEncoding | None = None) -> Tensor:
+        """a_lm [N,9,3] to degree 2 over the output scale, for networks with low bands.
+
+        `encoding` is the result of `encode_views` for the same views, if it is already known.
+        """
+        assert self.low is not None
+        coefficients: Tensor = self.low(self.view_features(positions, outgoing, encoding))
+        return coefficients
 
     def view_features(self, positions: Tensor, outgoing: Tensor, encoding: ViewEncoding | None = None) -> Tensor:
         """Inputs of the first layer [N, settings.view_inputs] in float32, for a network whose late layers see ωi."""
@@ -240,16 +256,32 @@ class NetworkCore(TrainableModel):
         return path_through(Body(positions, faces, corners), self.view.interior, self.settings)
 
     def up_to(self, degree: int) -> Self:
+        """The same network, weights shared, for the bands up to `degree` alone.
+
+        With low bands, and up to degree 2, it is Σ a_lm Y_lm(ωi), which needs no more directions than coefficients.
+        Otherwise it is `smooth`.
+        """
+        if self.low is None or degree > LOW_DEGREE:
+            return self.smooth(degree)
+        limited = copy(self)
+        limited.band, limited.only_low = degree, True
+        return limited
+
+    def smooth(self, degree: int) -> Self:
         """The same network, weights shared, with its lobes limited to the bands up to `degree`.
 
         A few directions may all miss a narrow lobe. They integrate its bands exactly. A network without lobes is
         returned unchanged.
         """
-        if self.lobes is None:
+        if self.lobes is None and not self.only_low:
             return self
         limited = copy(self)
-        limited.band = degree
+        limited.band, limited.only_low = degree, False
         return limited
+
+    def drop_low_bands(self) -> None:
+        """Forget the low bands: the coefficients to degree 2 are then those of Ŝ."""
+        self.low, self.settings = None, replace(self.settings, low_width=0)
 
     def warn_without_mesh(self) -> None:
         """Warn, once per network, if normals are an input and no mesh gives them."""

@@ -74,6 +74,9 @@ class NetworkSettings:
     branches: int = 1
     """Most branches of such a ray, which interfaces split into a refracted and a reflected part; 1: it is refracted
     unless it is totally reflected."""
+    low_width: int = 0
+    """Width of the layers that predict the coefficients to degree 2 of a view (`prt_bake.network.low_bands`); 0: none.
+    Needs light_layers."""
     lobes: int = 0
     """Narrow lobes in ωi that the trunk predicts for each view (`prt_bake.network.lobes`)."""
     shape_places: int = 0
@@ -126,6 +129,11 @@ class NetworkSettings:
                 )
 
     def _check_view_ray(self) -> None:
+        if self.low_width < 0 or (self.low_width and not self.trunk):
+            raise ModelError(
+                "network settings: low_width must not be negative, and must be 0 without light_layers; "
+                f"found {self.low_width}"
+            )
         if self.lobes < 0 or (self.lobes and not self.tells_normal):
             raise ModelError(
                 f"network settings: lobes must not be negative, and must be 0 without tells_normal; found {self.lobes}"
@@ -294,6 +302,7 @@ PRESETS: dict[str, NetworkSettings] = {
         tells_normal=True,
         interfaces=64,
         branches=16,
+        low_width=128,
         lobes=2,
         shape_places=4,
         grid_places=32,

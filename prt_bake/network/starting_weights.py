@@ -13,8 +13,10 @@ from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.network.features.feature_grid import FeatureGrid
 from prt_bake.network.settings import EXIT_INPUTS, INPUTS_PER_CHANNEL, NetworkSettings
 
-_MAY_DIFFER = {"interfaces", "branches", "inner_bodies", "lobes", "material_channels", "grid_places"}
+_MAY_DIFFER = {"interfaces", "branches", "inner_bodies", "low_width", "lobes", "material_channels", "grid_places"}
 """Settings that depend on the scene, and whose weights can be copied in part."""
+
+FIRST_LAYERS = "hidden.0.weight", "low.hidden.0.weight"
 
 
 def start_from(network: NeuralBSSRDF, earlier: NeuralBSSRDF) -> None:
@@ -33,8 +35,9 @@ def start_from(network: NeuralBSSRDF, earlier: NeuralBSSRDF) -> None:
                 columns = min(weight.shape[-1], weights[name].shape[-1])
                 weight[..., columns:] = 0.0
                 weight[..., :columns] = weights[name][..., :columns]
-        first = network.get_parameter("hidden.0.weight")
-        _copy_columns(first, weights["hidden.0.weight"], network.settings, earlier.settings)
+        for name in FIRST_LAYERS:
+            if name in weights and (network.settings.low_width or not name.startswith("low")):
+                _copy_columns(network.get_parameter(name), weights[name], network.settings, earlier.settings)
         if network.view is not None and earlier.view is not None:
             _interpolate(network.view.grid, earlier.view.grid)
 

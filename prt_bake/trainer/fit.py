@@ -88,7 +88,7 @@ def settings_for(settings: NetworkSettings, scene: Scene) -> NetworkSettings:
     if len(scene.parts) == 1:
         settings = replace(settings, inner_bodies=False)
     if is_unrefracted(scene):
-        return replace(settings, tells_normal=False, interfaces=0, lobes=0)
+        return replace(settings, tells_normal=False, interfaces=0, lobes=0, low_width=0)
     if not is_clear(scene, box_of(scene)):
         return replace(settings, interfaces=0, lobes=0)
     return settings if interface_kind(scene) == ROUGH else replace(settings, lobes=0)

@@ -15,9 +15,10 @@ from formats.errors import QueryError
 from prt_bake.mathematics.directions import rotations
 from prt_bake.mathematics.sphere import fibonacci
 from prt_bake.network.lobes import Lobes, evaluate_lobes, mean_square
+from prt_bake.network.low_bands import low_harmonics
 from prt_bake.network.model import TrainableModel
 from prt_bake.trainer.muon import Muon
-from prt_bake.trainer.objective import LobeTerms, Loss, exit_loss, value_loss
+from prt_bake.trainer.objective import LobeTerms, Loss, exit_loss, low_loss, value_loss
 from prt_bake.trainer.precision import bfloat16_is_faster
 from prt_bake.trainer.samples.rows import (
     BEFORE_RAYS,
@@ -68,6 +69,8 @@ class LearningSettings:
     coarse_steps: int = 300
     """First steps that use a third of the exits and of the uniform directions. The network learns coarse structure
     first, sooner from many cheap steps."""
+    low_batch: int = 128
+    """Queries per step of the low bands, which take several steps where the other layers take one."""
     core_share: float = 0.25
     """Share of the cores that learn (at least one); the others render."""
     checkpoint_every: float = 60.0
@@ -91,6 +94,7 @@ class LearningSettings:
             "average_length": (0.0 < self.average_length <= 0.5, "above 0 and at most 0.5"),
             "spread": (self.spread >= 1, "1 or more"),
             "coarse_steps": (self.coarse_steps >= 0, "0 or more"),
+            "low_batch": (self.low_batch >= 1, "1 or more"),
             "core_share": (0.0 <= self.core_share < 1.0, "0 to below 1"),
             "held_out_queries": (self.held_out_queries >= 1, "1 or more"),
             "held_out_walks": (self.held_out_walks >= 2, "2 or more"),
@@ -124,6 +128,7 @@ class Learner:
     Attributes:
         network: has the last weights.
         model: has the weights of the model, their running average unless `settings.average` is off.
+        optimizers: those of the low bands last, if there are any.
         step: optimiser steps so far.
         bfloat16: whether matrix products are in bfloat16.
     """
@@ -131,8 +136,11 @@ class Learner:
     def __init__(self, network: TrainableModel, settings: LearningSettings) -> None:
         """Learn on the network's device."""
         self.network, self.settings = network, settings
+        self._low: Any = getattr(network, "low", None)
         self.model = copy.deepcopy(network) if settings.average else network
-        self.optimizers = self._optimizers()
+        self._own_optimizers = self._optimizers()
+        self._low_optimizers = [] if self._low is None else self._optimizers_of(list(self._low.parameters()), self._low)
+        self.optimizers = [*self._own_optimizers, *self._low_optimizers]
         self.step = 0
         self._device = network.box_min.device
         self.bfloat16 = settings.bfloat16 and bfloat16_is_faster(self._device.type)
@@ -163,11 +171,9 @@ class Learner:
         value = float(loss.detach())
         if not math.isfinite(value):
             raise QueryError(self._error(source, batch, losses.detach().cpu().numpy(), value))
-        for optimizer in self.optimizers:
-            optimizer.zero_grad(set_to_none=True)
-        torch.autograd.backward(loss)
-        for optimizer in self.optimizers:
-            optimizer.step()
+        self._descend(loss, self._own_optimizers)
+        if self._low is not None:
+            self._learn_low(rows, encoding)
         self.step += 1
         if self.settings.average:
             self._average(self._share_of_average(self.step))
@@ -206,12 +212,36 @@ class Learner:
         self.step = int(state["step"])
         self.bfloat16 = bool(state.get("bfloat16", self.bfloat16))
 
+    def _descend(self, loss: Tensor, optimizers: list[torch.optim.Optimizer]) -> None:
+        """A step of some optimisers down the gradient of a loss."""
+        for optimizer in optimizers:
+            optimizer.zero_grad(set_to_none=True)
+        torch.autograd.backward(loss)
+        for optimizer in optimizers:
+            optimizer.step()
+
+    def _learn_low(self, rows: Tensor, encoding: Any) -> None:
+        """Steps of the low bands, which fit all paths of the rows."""
+        network: Any = self.network
+        with torch.no_grad():
+            features = network.view_features(self._positions(rows), rows[:, OUTGOING], encoding)
+        rays = rays_of(rows)
+        harmonics, throughput = low_harmonics(rays[..., INCIDENT]), rays[..., CHANNELS] / network.output_scale
+        parts = (torch.split(whole, self.settings.low_batch) for whole in (features, harmonics, throughput))
+        for some, *of_paths in zip(*parts, strict=True):
+            self._descend(low_loss(self._low(some), *of_paths).mean(), self._low_optimizers)
+
     def _optimizers(self) -> list[torch.optim.Optimizer]:
-        """AdamW, and Muon for the matrices of the hidden layers."""
-        hidden = getattr(self.network, "hidden", ()) if self.settings.muon else ()
+        """The optimisers of all weights but those of the low bands."""
+        low = set() if self._low is None else set(map(id, self._low.parameters()))
+        return self._optimizers_of([part for part in self.network.parameters() if id(part) not in low], self.network)
+
+    def _optimizers_of(self, weights: list[nn.Parameter], layers: Any) -> list[torch.optim.Optimizer]:
+        """AdamW, and Muon for the matrices of the hidden layers of `layers`."""
+        hidden = getattr(layers, "hidden", ()) if self.settings.muon else ()
         matrices = [layer.weight for layer in hidden if isinstance(layer, nn.Linear)]
         chosen, rate, decay = set(map(id, matrices)), self.settings.rate, self.settings.decay
-        others = [weights for weights in self.network.parameters() if id(weights) not in chosen]
+        others = [part for part in weights if id(part) not in chosen]
         adam = torch.optim.AdamW(others, lr=rate, betas=(0.9, 0.99), weight_decay=decay)
         return [adam, Muon(matrices, rate, decay)] if matrices else [adam]
 

@@ -4,6 +4,7 @@ import json
 import math
 import time
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -176,7 +177,7 @@ class Run:
         assert self.source is not None
         if output is not None:  # measuring takes long and may be interrupted
             self.save(output)
-        network = self.learner.result()
+        network = self._with_useful_bands(self.learner.result())
         training: dict[str, Any] = {
             "seconds": self.seconds,
             "steps": self.learner.step,
@@ -200,6 +201,18 @@ class Run:
         if output is not None:
             save_model(network, output)
         return network
+
+    def _with_useful_bands(self, network: TrainableModel) -> TrainableModel:
+        """The network without its low bands if its other layers have learned the coefficients better.
+
+        Low bands begin anew where an earlier network without them is trained on.
+        """
+        if getattr(network, "low", None) is None:
+            return network
+        without: Any = deepcopy(network)
+        without.drop_low_bands()
+        errors = [self.reference.relative_rmse(each) for each in (network, without)]
+        return without if errors[1] < errors[0] else network
 
     def _errors(self, network: TrainableModel) -> dict[str, Any]:
         """The final errors."""

@@ -28,7 +28,7 @@ from tests.trainer import small_training
 
 pytestmark = WITHOUT_MESH
 
-LOBED = replace(PRESETS["measured"], features=9, width=12, light_features=4, interfaces=0, lobes=3)
+LOBED = replace(PRESETS["measured"], features=9, width=12, light_features=4, interfaces=0, lobes=3, low_width=0)
 SPACING = 0.02
 
 

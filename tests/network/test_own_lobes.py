@@ -24,7 +24,7 @@ def network(lobes: int) -> NeuralBSSRDF:
 def test_own_lobes_are_what_the_smooth_network_lacks() -> None:
     lobed, mesh, towards = network(3), ball(1), fibonacci(4000)
     positions, outgoing = mesh.positions[:5], mesh.normals[:5]
-    whole, smooth = (part.evaluate(towards, positions, outgoing) for part in (lobed, lobed.up_to(2)))
+    whole, smooth = (part.evaluate(towards, positions, outgoing) for part in (lobed, lobed.smooth(2)))
     found = lobed.own_lobes(positions, outgoing)
     assert found is not None
     axes, sharpness, powers = found

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from bakers.plain_function import as_transport
-from bakers.transport import on_mesh, prepared, refuse_foreign, transport_kind, up_to
+from bakers.transport import on_mesh, prepared, refuse_foreign, smooth, transport_kind, up_to
 from bakers.workers import Threads
 from formats.asset import Asset
 from formats.errors import QueryError
@@ -62,12 +62,13 @@ def add_lobes(
         )
     refuse_foreign(transport, asset.mesh)
     whole = on_mesh(transport, asset.mesh)
-    smooth = prepared(up_to(whole, asset.degree), "float32", device)
+    harmonics = prepared(up_to(whole, asset.degree), "float32", device)
+    without_lobes = prepared(smooth(whole, asset.degree), "float32", device)
     grid = node_grid(asset.rings, asset.sectors, asset.coefficients.shape[1])
     vertices = np.flatnonzero(asset.valid)
     with limited_threads(transport, workers):
-        search = LobeSearch(smooth, whole, asset, asset.degree, grid)
-        apart = harmonics_apart(asset, smooth, search)
+        search = LobeSearch(without_lobes, whole, asset, asset.degree, grid)
+        apart = harmonics_apart(asset, harmonics, search)
         plan = plan_lobes(search, vertices, most)
         lobes = None
         if plan.lobes:

@@ -20,7 +20,7 @@ def harmonics_apart(asset: Asset, transport: Any, search: LobeSearch) -> float:
     """The difference between a transport's harmonics and an asset's coefficients at a few vertices and view bins,
     relative to the coefficients; warns if it is large.
 
-    transport: prepared for the asset's degree. search: of the same transport.
+    transport: prepared for the asset's degree (`bakers.transport.up_to`). search: of the same transport.
     """
     draw, valid = np.random.default_rng(_SEED), np.flatnonzero(asset.valid)
     vertices = np.sort(draw.choice(valid, min(_VERTICES, len(valid)), replace=False))

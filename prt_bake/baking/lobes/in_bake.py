@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from bakers.transport import prepared, transport_kind, up_to
+from bakers.transport import prepared, smooth, transport_kind
 from formats.asset import Asset, AssetHead, read_asset
 from formats.asset.lobes import LOBE_BYTES, add_lobes_to_file
 from prt_bake.baking.job.forecast import BakeStatus
@@ -76,16 +76,14 @@ def plan_lobes_of_bake(
     precision: str,
     device: str,
 ) -> LobesOfBake:
-    """Try what lobes gain. transport: prepared for the bake's degree; whole: the same as it is; minutes: time limit."""
+    """Try what lobes gain. transport: prepared for the bake; whole: it with all bands; minutes: time limit."""
     reason = _reason_against(transport, pruning, most, minutes)
     if reason is not None:
         return LobesOfBake({"lobes_in_a_view": 0, "reason": reason})
-    smooth = transport
-    if pruning.kept_degree < head.degree:
-        smooth = prepared(up_to(whole, pruning.kept_degree), precision, device)
+    without_lobes = prepared(smooth(whole, pruning.kept_degree), precision, device)
     views = 1 if pruning.views == "one" else len(pruning.local)
     grid = node_grid(head.rings, head.sectors, views)
-    search = LobeSearch(smooth, whole, head, pruning.kept_degree, grid)
+    search = LobeSearch(without_lobes, whole, head, pruning.kept_degree, grid)
     plan = plan_lobes(search, pruning.vertices, most)
     seconds = plan.seconds * len(pruning.vertices) / workers
     if plan.lobes and minutes is not None and seconds > SHARE_OF_TIME * 60.0 * minutes:

@@ -121,6 +121,8 @@ class CudaNetwork(FusedNetwork):
         self, incident: ArrayLike, rotation: ArrayLike, positions: ArrayLike, outgoing: ArrayLike
     ) -> NDArray[np.float32]:
         """Ŝ [N,B,D,3] in 1/sr, float32: `FusedNetwork.evaluate_block`."""
+        if self.network.only_low:
+            return super().evaluate_block(incident, rotation, positions, outgoing)
         light = np.asarray(incident)
         directions = light.shape[1]
         shape = np.shape(rotation)

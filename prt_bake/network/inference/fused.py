@@ -25,6 +25,7 @@ from prt_bake.network.inference.light_tables import CachedTables, LightTable, ta
 from prt_bake.network.inference.linear import linear_for
 from prt_bake.network.inference.product_kernel import product_rows
 from prt_bake.network.lobes import Bands, Lobes, evaluate_bands, evaluate_lobes, lobe_bands
+from prt_bake.network.low_bands import low_harmonics, low_radiance
 from prt_bake.network.queries import float64_tensor, require_finite
 
 PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16}
@@ -92,6 +93,9 @@ class FusedNetwork:
         with torch.inference_mode():
             chosen = torch.as_tensor(np.asarray(rotation, dtype=np.int64).reshape(-1), device=self._device)
             view, frame = self._views(positions, outgoing)
+            if self.network.only_low:
+                self._fill_low(result, _float32(light, self._device), chosen, view)
+                return result.reshape(vertices, bins, directions, 3)
             eye = _float32(np.reshape(outgoing, (-1, 3)), self._device)
             for first, last in table_bounds(light, TABLE_ROWS):
                 table = self._light_table(incident, light[:, first:last], complete=last - first == directions)
@@ -138,6 +142,25 @@ class FusedNetwork:
                 last = min(begin + first + tile, count)
                 scaled = (radiance * self.network.output_scale).cpu().numpy()
                 result[begin + first : last] = scaled[: last - begin - first]
+
+    def _fill_low(self, result: NDArray[np.float32], light: Tensor, chosen: Tensor, view: Tensor) -> None:
+        """As `_fill`, for networks of low bands alone, under incident directions [R,D,3]."""
+        tile = max(1, self._rows // light.shape[1])
+        coefficients, harmonics = self.low_coefficients(view), low_harmonics(light)
+        for first in range(0, len(chosen), tile):
+            rows = slice(first, first + tile)
+            radiance = self._low_radiance(coefficients[rows], harmonics[chosen[rows]])
+            result[rows] = radiance.cpu().numpy()
+
+    def low_coefficients(self, view: Tensor) -> Tensor:
+        """a_lm [N,9,3] over the output scale of views [N,·], in batches of one fixed size, as `_trunk`."""
+        assert self.network.low is not None
+        size, low = self._views_per_batch, self.network.low
+        return torch.cat([low(_padded(part, size - len(part)))[: len(part)] for part in torch.split(view, size)])
+
+    def _low_radiance(self, coefficients: Tensor, harmonics: Tensor) -> Tensor:
+        """Ŝ [N,D,3] up to the network's band, of coefficients [N,9,3] and harmonics [N,D,9]."""
+        return low_radiance(coefficients, harmonics, self.network.band or 0) * self.network.output_scale
 
     def _trunk(self, late: LateLayers, view: Tensor, tile: int) -> tuple[Tensor, Lobes | Bands | None]:
         """Contributions [layers, ≥ N + tile, width] of views [N,·] to the late layers, and their lobes or bands.

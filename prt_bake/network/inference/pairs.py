@@ -18,6 +18,7 @@ from prt_bake.network.features.fourier import encode_directions
 from prt_bake.network.features.pair_kernel import cycles_rows, fourier_rows
 from prt_bake.network.inference.fused import FusedNetwork
 from prt_bake.network.lobes import evaluate_lobes
+from prt_bake.network.low_bands import low_harmonics
 
 Array = NDArray[np.float64]
 
@@ -92,6 +93,8 @@ class PairNetwork(FusedNetwork):
 
         Agrees with `evaluate` to about 10⁻⁵ of the output's size in float32, 10⁻² in bfloat16.
         """
+        if self.network.only_low:
+            return self._low_pairs(incident, positions, outgoing)
         count, directions = incident.shape[:2]
         result = np.empty((count, directions, 3), np.float32)
         tile = max(1, self._rows // max(1, directions))
@@ -106,6 +109,13 @@ class PairNetwork(FusedNetwork):
                 radiance = radiance.float() * self.network.output_scale
                 result[rows] = radiance.view(tile, directions, 3)[: len(result[rows])].cpu().numpy()
         return result
+
+    def _low_pairs(self, incident: Array, positions: Array, outgoing: Array) -> NDArray[np.float32]:
+        """As `evaluate_pairs`, for networks of low bands alone."""
+        with torch.inference_mode():
+            views, _frame = self.view_rows(torch.as_tensor(positions), torch.as_tensor(outgoing))
+            harmonics = low_harmonics(torch.as_tensor(incident).to(self._device))
+            return np.asarray(self._low_radiance(self.low_coefficients(views), harmonics).cpu().numpy())
 
     def _feature_rows(self, incident: Array, positions: Array, outgoing: Array, tile: int) -> Tensor:
         """Fourier features [tile·S, 2F] of views [n ≤ tile] and their directions; rows beyond n are 0."""

@@ -18,7 +18,7 @@ from prt_bake.trainer.gpu.renderer import GpuBatch
 from prt_bake.trainer.learner import Learner, LearningSettings, learning_rate
 from prt_bake.trainer.samples.rows import OUTGOING, POSITION, Batch, RowSource, rays_of
 
-GPU_LEARNING = LearningSettings(spread=24, coarse_steps=0)
+GPU_LEARNING = LearningSettings(spread=24, coarse_steps=0, low_batch=512)
 """Settings for a GPU, where more directions take hardly any time. Larger batches take less time, but on the same rows
 they learn much less (`docs/measurements/training.md`)."""
 _WARM_UP = 3
@@ -97,8 +97,10 @@ class GpuLearner(Learner):
             for group in self._groups():
                 rate = torch.tensor(self.settings.rate, device=self._device)
                 group.update(lr=rate, capturable=True, foreach=True)
-            for values in self.optimizers[0].state.values():
-                values["step"] = values["step"].to(self._device)
+            for optimizer in self.optimizers:
+                for values in optimizer.state.values():
+                    if "step" in values:
+                        values["step"] = values["step"].to(self._device)
 
     def _set_rate(self, rate: float) -> None:
         for group in self._groups():
@@ -123,26 +125,32 @@ class GpuLearner(Learner):
 
     def _step(self) -> None:
         assert self._batch is not None
-        for optimizer in self.optimizers:
-            optimizer.zero_grad(set_to_none=True)
         rows, view, path = self._batch.rows, self._view, known_paths(self._batch.paths)
         encoding = None
         if view is not None:
             encoding = view.encode(rows[:, POSITION], rows[:, OUTGOING], self._batch.normals, path)
         losses = self._losses_of_exits(rows, rays_of(rows), self._uniform(), encoding)
         loss = losses.mean()
-        torch.autograd.backward(loss)
-        for weights in self.network.parameters():
-            if weights.grad is not None:
-                # A look at the loss, which may come many steps later, stops the training.
-                weights.grad.nan_to_num_(0.0, 0.0, 0.0)
-        for optimizer in self.optimizers:
-            optimizer.step()
+        self._descend(loss, self._own_optimizers)
+        if self._low is not None:
+            self._learn_low(rows, encoding)
         self._loss.copy_(loss.detach())
         faulty = torch.where(losses.detach().isfinite(), _NONE, self._batch.numbers).max()
         self._faulty.copy_(torch.maximum(self._faulty, faulty))
         if self.settings.average:
             self._average(self._average_share)
+
+    def _descend(self, loss: Tensor, optimizers: list[torch.optim.Optimizer]) -> None:
+        for optimizer in optimizers:
+            optimizer.zero_grad(set_to_none=True)
+        torch.autograd.backward(loss)
+        for optimizer in optimizers:
+            for group in optimizer.param_groups:
+                for weights in group["params"]:
+                    if weights.grad is not None:
+                        # A look at the loss, which may come many steps later, stops the training.
+                        weights.grad.nan_to_num_(0.0, 0.0, 0.0)
+            optimizer.step()
 
     def _uniform(self) -> Tensor:
         """A randomly rotated lattice [Q,S,3] for each query (Shoemake 1992, as `prt_bake.mathematics.directions`)."""

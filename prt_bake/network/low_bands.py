@@ -1,0 +1,74 @@
+"""The low bands of a network: the coefficients a_lm to degree 2 of a view, predicted by layers of their own.
+
+Bakes need these alone. The layers that see ωi learn them slowly: most of what they fit is finer, and they fit it to
+paths whose directions say little one by one. The mean of T · Y_lm(ω_exit) over the paths of a query is an unbiased
+estimate of its a_lm, so these layers fit nine numbers of each channel by least squares, without directions at all.
+
+Such a network is exact in few directions: its Ŝ up to degree 2 is Σ a_lm Y_lm(ωi).
+"""
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from prt_bake.network.settings import NetworkSettings
+
+LOW_DEGREE = 2
+LOW_COUNT = (LOW_DEGREE + 1) ** 2
+_LAYERS = 3
+_CHANNELS = 3
+
+
+class LowBands(nn.Module):
+    """Layers from the features of a view to its coefficients: SiLU, and the first output again before the third."""
+
+    def __init__(self, settings: NetworkSettings, generator: torch.Generator) -> None:
+        """Initial weights by He et al. 2015, drawn by `generator`; the initial coefficients are small."""
+        super().__init__()
+        self.hidden = nn.ModuleList(nn.Linear(n, m) for m, n in low_shapes(settings)[:-1])
+        self.output = nn.Linear(settings.low_width, LOW_COUNT * _CHANNELS)
+        for layer in (*self.hidden, self.output):
+            assert isinstance(layer, nn.Linear)
+            gain = 0.1 if layer is self.output else 2.0
+            with torch.no_grad():
+                layer.weight.normal_(0.0, (gain / layer.in_features) ** 0.5, generator=generator)
+                layer.bias.zero_()
+
+    def forward(self, features: Tensor) -> Tensor:
+        """a_lm [N,9,3] over the output scale, float32, from the inputs of the first layer [N, view_inputs]."""
+        first = h = torch.nn.functional.silu(self.hidden[0](features.to(self.output.weight.dtype)))
+        h = torch.nn.functional.silu(self.hidden[1](h))
+        h = torch.nn.functional.silu(self.hidden[2](torch.cat((h, first), dim=-1)))
+        coefficients: Tensor = self.output(h).float()
+        return coefficients.reshape(-1, LOW_COUNT, _CHANNELS)
+
+
+def low_shapes(settings: NetworkSettings) -> tuple[tuple[int, int], ...]:
+    """(outputs, inputs) of the layers; none if the settings have no low bands."""
+    width = settings.low_width
+    if not width:
+        return ()
+    return (width, settings.view_inputs), (width, width), (width, 2 * width), (LOW_COUNT * _CHANNELS, width)
+
+
+def low_harmonics(directions: Tensor) -> Tensor:
+    """Y_lm [...,9] of unit vectors [...,3] to degree 2, float32, in the order of `prt_bake.mathematics.sh`."""
+    x, y, z = directions.float().unbind(dim=-1)
+    first, second = math.sqrt(0.75 / math.pi), math.sqrt(3.75 / math.pi)
+    constant = torch.full_like(x, math.sqrt(0.25 / math.pi))
+    zonal = 0.25 * math.sqrt(5.0 / math.pi) * (3.0 * z * z - 1.0)
+    mixed = 0.5 * second * (x * x - y * y)
+    bands = constant, first * y, first * z, first * x, second * x * y, second * y * z, zonal, second * x * z, mixed
+    return torch.stack(bands, dim=-1)
+
+
+def low_radiance(coefficients: Tensor, harmonics: Tensor, degree: int) -> Tensor:
+    """Σ a_lm Y_lm(ωi) [N,D,3] up to `degree`, of coefficients [N,9,3] and harmonics [N,D,9] of the directions.
+
+    No matrix product: its rounding of one view would depend on how many others are in the batch.
+    """
+    total = harmonics[..., :1] * coefficients[:, None, 0]
+    for number in range(1, (degree + 1) ** 2):
+        total.addcmul_(harmonics[..., number, None], coefficients[:, None, number])
+    return total
