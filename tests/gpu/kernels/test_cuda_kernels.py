@@ -42,6 +42,7 @@ SETTINGS = {
     "three late layers": replace(PAPER, features=9, light_layers=3, skips=((1, 4), (2, 5)), angle_powers=1),
     "interior": LATE,
     "lobes": replace(LATE, lobes=3),
+    "low bands": replace(LATE, low_width=16),
     "paths": replace(LATE, interfaces=6, lobes=3),
 }
 
@@ -68,6 +69,7 @@ def network_of(name: str) -> NeuralBSSRDF:
     with torch.no_grad():
         for weight in network.parameters():
             weight += 0.05 * torch.randn(weight.shape, generator=generator)
+    network = network.up_to(2) if name == "low bands" else network
     return network.on(mesh_of(UNIT)) if name == "paths" else network
 
 
