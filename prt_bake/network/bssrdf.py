@@ -6,7 +6,7 @@ layer to RGB, times `output_scale`.
 
 With `light_layers` the first layers (the trunk) see only u = (x, ωo) and run once per view. Features of ωi and powers
 of ωi·ωo are appended to the inputs of the last layers. The optional features of the settings are described in
-`features` (`view_features`, `shape`, `feature_grid`, `light_ray`) and in `lobes`.
+`features` (`view_features`, `shape`, `feature_grid`, `light_ray`) and in `lobes`. Bakes to degree 2 use `low_bands`.
 """
 
 import json
@@ -126,7 +126,7 @@ def save_model(network: Model, path: str | Path) -> None:
     """Writes a model as `.pt` or `.safetensors`: tensors, and everything else as JSON.
 
     A tensor is stored in float16 if that is exact (see `rounded`), else in float32. Rounded networks of the presets
-    take 372 KiB ("paper") and at most 836 KiB ("measured"). Raises ModelError on another suffix or on weights that are
+    take 372 KiB ("paper") and at most 1,080 KiB ("measured"). Raises ModelError on another suffix or on weights that are
     not finite, StorageError if the file cannot be written. An older file stays as it was on failure.
 
     >>> import tempfile

@@ -45,6 +45,8 @@ VARIANTS = {
     "all rays from the first step": Variant({"coarse_steps": 0}),
     "24 uniform directions": Variant({"spread": 24}),
     "24 uniform directions, all rays from the first step": Variant({"spread": 24, "coarse_steps": 0}),
+    "without low bands": Variant(network={"low_width": 0}),
+    "without low bands, all rays from the first step": Variant({"coarse_steps": 0}, {"low_width": 0}),
     "AdamW alone, all rays from the first step": Variant({"coarse_steps": 0, "muon": False}),
     "rate 0.008": Variant({"rate": 8e-3}),
     "weight decay 0.3": Variant({"decay": 0.3}),

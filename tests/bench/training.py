@@ -41,7 +41,7 @@ PLAIN = replace(
     light_places=0,
 )
 """Features of the position alone, without the interior."""
-EARLY: dict[str, Any] = {"light_layers": 0, "angle_powers": 0, "skips": ((1, 3), (2, 4))}
+EARLY: dict[str, Any] = {"light_layers": 0, "low_width": 0, "angle_powers": 0, "skips": ((1, 3), (2, 4))}
 """ωi enters the first layer."""
 STREAM = StreamSettings()
 LEARNING = LearningSettings(held_out_queries=256)
