@@ -22,10 +22,11 @@ import torch
 from formats.errors import InputWarning
 from prt_bake.baking.sources import require_device
 from prt_bake.mathematics import sphere
-from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF
+from prt_bake.network.bssrdf import PRESETS, NeuralBSSRDF
 from prt_bake.network.features.interior import LEVELS, REACH, Interior
 from prt_bake.network.inference.fused import PRECISIONS, FusedNetwork
 from prt_bake.network.inference.linear import onednn_linear, onednn_works
+from prt_bake.network.low_bands import low_shapes
 
 BINS, DIRECTIONS, COPIES = 1024, 64, 256
 VERTICES = {"cpu": 4, "cuda": 64}
@@ -75,8 +76,12 @@ def difference(network: NeuralBSSRDF, fused: FusedNetwork, block: tuple[Any, ...
     ) / float(np.linalg.norm(expected))
 
 
-def flop(settings: NetworkSettings) -> tuple[int, float]:
+def flop(network: NeuralBSSRDF) -> tuple[float, float]:
     """FLOP of one evaluation: of all layers, and of those evaluated for each of DIRECTIONS directions of a bin."""
+    settings = network.settings
+    if network.only_low:
+        work = 2 * sum(outputs * inputs for outputs, inputs in low_shapes(settings)) / DIRECTIONS
+        return work, work
     shapes = settings.layer_shapes
     useful = 2 * sum(outputs * inputs for outputs, inputs in shapes)
     if not settings.trunk:
@@ -95,6 +100,17 @@ def ball(places: int) -> Interior:
     return Interior(np.rint(LEVELS * levels[None]).astype(np.int8), (-0.05, -0.05, -0.05), spacing, (5.0,), 1.3)
 
 
+def networks() -> dict[str, NeuralBSSRDF]:
+    """The networks of the presets, with less, and as a bake to degree 2 evaluates the default one."""
+    measured = PRESETS["measured"]
+    less = {"no lobes": replace(measured, lobes=0), "no shape": replace(measured, lobes=0, shape_places=0)}
+    made = {
+        name: NeuralBSSRDF(settings, interior=ball(64) if settings.ray_samples else None)
+        for name, settings in {**PRESETS, **less}.items()
+    }
+    return {**made, "low bands": made["measured"].up_to(2)}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
@@ -111,15 +127,12 @@ def main() -> None:
     print(
         f"{'preset':10}{'precision':11}{'evaluations/s':>15}{'product':>9}{'useful':>8}{'share':>7}{'done':>8}{'share':>7}{'error':>9}"
     )
-    measured = PRESETS["measured"]
-    less = {"no lobes": replace(measured, lobes=0), "no shape": replace(measured, lobes=0, shape_places=0)}
-    for preset, settings in {**PRESETS, **less}.items():
-        network = NeuralBSSRDF(settings, interior=ball(64) if settings.ray_samples else None)
+    for preset, network in networks().items():
         for precision in PRECISIONS:
             fused, top = network.prepared(precision, device), peak(precision, device)
             block = (incident, rotation, positions, outgoing)
             rate = evaluations / best_time(lambda f=fused, b=block: f.evaluate_block(*b))  # type: ignore[misc]
-            shares = "".join(f"{rate * work / 1e9:8.0f}{rate * work / top:7.0%}" for work in flop(settings))
+            shares = "".join(f"{rate * work / 1e9:8.0f}{rate * work / top:7.0%}" for work in flop(network))
             error = difference(network, fused, block)
             print(f"{preset:10}{precision:11}{rate:15,.0f}{top / 1e9:9.0f}{shares}{error:9.1e}", flush=True)
 
