@@ -74,8 +74,9 @@ def test_training_values_count_as_those_of_the_whole_surface() -> None:
     assert found == pytest.approx((source.values(even, 1)[0] ** 2).sum() / 20000, rel=0.05)
 
 
-def test_the_own_lobes_of_a_network_are_its_detail_beyond_degree_2() -> None:
-    network, mesh = lobed(), sphere()
+@pytest.mark.parametrize("low_width", [0, 12])
+def test_the_own_lobes_of_a_network_are_its_detail_beyond_degree_2(low_width: int) -> None:
+    network, mesh = lobed(low_width), sphere()
     source = OfModel(network, mesh, "y")
     points, _ = drawn_points(mesh, 12, 4, source.squares)
     values, same = source.values(points, 2)
@@ -90,6 +91,8 @@ def test_the_own_lobes_of_a_network_are_its_detail_beyond_degree_2() -> None:
         atol=1e-5,
     )
     harmonics = sh.evaluate(directions, 2) * (4.0 * np.pi / len(directions))
+    if low_width:
+        np.testing.assert_allclose(lobes, OfModel(lobed(), mesh, "y").own_lobes(values, points), atol=1e-5)
     low = np.einsum("mk,nmc->nkc", harmonics, lobes)
     assert np.abs(low).max() < 0.01 * np.abs(np.einsum("mk,nmc->nkc", harmonics, values)).max()
     assert np.linalg.norm(lobes) > 0.1 * np.linalg.norm(values)

@@ -48,8 +48,8 @@ def glass_ball(eta: float) -> Interior:
     return Interior(np.clip(levels, -LEVELS, LEVELS)[None].astype(np.int8), (-0.1, -0.1, -0.1), SPACING, (0.5,), eta)
 
 
-def lobed() -> NeuralBSSRDF:
-    network = NeuralBSSRDF(LOBED, output_scale=0.7, interior=glass_ball(1.4))
+def lobed(low_width: int = 0) -> NeuralBSSRDF:
+    network = NeuralBSSRDF(replace(LOBED, low_width=low_width), output_scale=0.7, interior=glass_ball(1.4))
     assert network.lobes is not None
     with torch.no_grad():
         network.lobes.weight.normal_(0.0, 0.5, generator=torch.Generator().manual_seed(2))

@@ -94,7 +94,9 @@ def test_entries_that_unpack_to_far_more_than_the_file_are_refused(tmp_path: Pat
         load_model(path)
 
 
-@pytest.mark.parametrize("setting", ["width", "layers", "features", "light_features", "ray_samples", "low_width", "lobes"])
+@pytest.mark.parametrize(
+    "setting", ["width", "layers", "features", "light_features", "ray_samples", "low_width", "lobes"]
+)
 def test_settings_of_a_larger_network_than_the_file_are_refused(tmp_path: Path, setting: str) -> None:
     path = tmp_path / "model.pt"
     save_model(NeuralBSSRDF(PRESETS["measured"], interior=rough_interior(8)), path)

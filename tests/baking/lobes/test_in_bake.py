@@ -15,7 +15,7 @@ from prt_bake.baking.adaptive.run import bake_to_error
 from prt_bake.baking.job.forecast import BakeStatus
 from prt_bake.baking.lobes import in_bake
 from prt_bake.baking.report.summary import bake_report
-from tests.baking.lobes.transports import MESH, Lobed, Smooth, along_normal, mirrored
+from tests.baking.lobes.transports import MESH, Lobed, LowAlone, Smooth, along_normal, mirrored
 
 ADAPTIVE: dict[str, Any] = {"rings": 4, "sectors": 8, "error": 0.05, "lobes": 4}
 FIXED: dict[str, Any] = {"rings": 4, "sectors": 8, "samples": 32, "lobes": 4}
@@ -55,6 +55,17 @@ def test_a_bake_stopped_in_its_lobes_resumes(arguments: dict[str, Any], tmp_path
     resumed = prt.bake(Lobed(), MESH, out=path, resume=True, **arguments)
     assert same(whole, resumed)
     assert not journal_folder(path).exists()
+
+
+def test_lobes_are_found_in_all_bands_of_a_transport() -> None:
+    """Also if coefficients come from a part of it."""
+    whole, low = prt.bake(Lobed(), MESH, **FIXED), prt.bake(LowAlone(), MESH, **FIXED)
+    added = prt.add_lobes(prt.bake(LowAlone(), MESH, **FIXED | {"lobes": 0}), LowAlone())
+    assert np.allclose(low.coefficients[:, :, 1:], 0.0, atol=1e-6)
+    assert whole.lobes is not None
+    for found in (low.lobes, added.lobes):
+        assert found is not None
+        assert np.array_equal(found.powers, whole.lobes.powers)
 
 
 def test_coefficients_are_those_without_lobes() -> None:

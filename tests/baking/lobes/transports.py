@@ -56,6 +56,14 @@ class Lobed:
         return np.asarray(value[..., None] * COLOUR)
 
 
+class LowAlone(Lobed):
+    """The same, which has nothing but a constant in its coefficients."""
+
+    def up_to(self, degree: int) -> Lobed:
+        """For coefficients."""
+        return Lobed((), self.constant)
+
+
 class Smooth:
     """Ŝ of degree 1."""
 
