@@ -200,10 +200,7 @@ class NetworkCore(TrainableModel):
         return self.output(h), lobes
 
     def low_coefficients(self, positions: Tensor, outgoing: Tensor, encoding: ViewEncoding | None = None) -> Tensor:
-        """a_lm [N,9,3] to degree 2 over the output scale, for networks with low bands.
-
-        `encoding` is the result of `encode_views` for the same views, if it is already known.
-        """
+        """a_lm [N,9,3] to degree 2 over the output scale, of networks with low bands. encoding: as in `components`."""
         assert self.low is not None
         coefficients: Tensor = self.low(self.view_features(positions, outgoing, encoding))
         return coefficients
@@ -258,8 +255,7 @@ class NetworkCore(TrainableModel):
     def up_to(self, degree: int) -> Self:
         """The same network, weights shared, for the bands up to `degree` alone.
 
-        With low bands, and up to degree 2, it is Σ a_lm Y_lm(ωi), which needs no more directions than coefficients.
-        Otherwise it is `smooth`.
+        With low bands, and up to degree 2, it is Σ a_lm Y_lm(ωi), exact in few directions; otherwise it is `smooth`.
         """
         if self.low is None or degree > LOW_DEGREE:
             return self.smooth(degree)

@@ -16,7 +16,6 @@ from prt_bake.network.settings import NetworkSettings
 
 LOW_DEGREE = 2
 LOW_COUNT = (LOW_DEGREE + 1) ** 2
-_LAYERS = 3
 _CHANNELS = 3
 
 

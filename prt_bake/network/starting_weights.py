@@ -15,8 +15,8 @@ from prt_bake.network.settings import EXIT_INPUTS, INPUTS_PER_CHANNEL, NetworkSe
 
 _MAY_DIFFER = {"interfaces", "branches", "inner_bodies", "low_width", "lobes", "material_channels", "grid_places"}
 """Settings that depend on the scene, and whose weights can be copied in part."""
-
-FIRST_LAYERS = "hidden.0.weight", "low.hidden.0.weight"
+_FIRST_LAYERS = "hidden.0.weight", "low.hidden.0.weight"
+"""Their inputs are those of a view."""
 
 
 def start_from(network: NeuralBSSRDF, earlier: NeuralBSSRDF) -> None:
@@ -30,14 +30,15 @@ def start_from(network: NeuralBSSRDF, earlier: NeuralBSSRDF) -> None:
     weights = {name: weight.detach().to(network.box_min.device) for name, weight in earlier.named_parameters()}
     with torch.no_grad():
         for name, weight in network.named_parameters():
-            if name in weights and weights[name].shape[0] == weight.shape[0]:
+            if name not in weights or weights[name].shape[0] != weight.shape[0]:
+                continue
+            if name in _FIRST_LAYERS:
+                _copy_columns(weight, weights[name], network.settings, earlier.settings)
+            else:
                 # The last inputs of late layers are the cosines, which not all networks have.
                 columns = min(weight.shape[-1], weights[name].shape[-1])
                 weight[..., columns:] = 0.0
                 weight[..., :columns] = weights[name][..., :columns]
-        for name in FIRST_LAYERS:
-            if name in weights and (network.settings.low_width or not name.startswith("low")):
-                _copy_columns(network.get_parameter(name), weights[name], network.settings, earlier.settings)
         if network.view is not None and earlier.view is not None:
             _interpolate(network.view.grid, earlier.view.grid)
 
