@@ -76,7 +76,7 @@ def plan_lobes_of_bake(
     precision: str,
     device: str,
 ) -> LobesOfBake:
-    """Try what lobes gain. transport: prepared for the bake; whole: it with all bands; minutes: time limit."""
+    """Try what lobes gain. transport: prepared for the bake; whole: with all bands; minutes: time limit."""
     reason = _reason_against(transport, pruning, most, minutes)
     if reason is not None:
         return LobesOfBake({"lobes_in_a_view": 0, "reason": reason})
