@@ -1,8 +1,8 @@
 """The low bands of a network: the coefficients a_lm to degree 2 of a view, predicted by layers of their own.
 
 Bakes to degree 2 need these alone. The layers that see ωi learn them slowly, since most of what they fit is finer. The
-mean of T · Y_lm(ω_exit) over the paths of a query is an unbiased
-estimate of its a_lm, so these layers fit nine numbers of each channel by least squares, without sampled directions.
+mean of T · Y_lm(ω_exit) over the paths of a query is an unbiased estimate of its a_lm, so these layers fit nine numbers
+of each channel by least squares, without sampled directions.
 
 Few directions suffice to evaluate them: Ŝ up to degree 2 is Σ a_lm Y_lm(ωi).
 """
