@@ -20,7 +20,7 @@ from prt_bake.baselines.unwrapping import texture_coordinates
 from prt_bake.network.model import TrainableModel
 from prt_bake.tracer.prepared import smooth_part
 from prt_bake.trainer.fit import metadata_of
-from prt_bake.trainer.learner import Learner, LearningSettings
+from prt_bake.trainer.learner import Learner, LearningSettings, share_of_average
 from prt_bake.trainer.samples.rows import CHANNELS, INCIDENT, Batch, RowSource, StreamSettings, rays_of
 from prt_bake.trainer.train import train_model
 from prt_bake.trainer.training_data import TrainingData
@@ -150,7 +150,7 @@ class NeuMIPLearner(Learner):
         self._touches[rows] += 1
         if self.settings.average:
             with torch.no_grad():
-                shares = self._share_of_average(self._touches[rows].double()).float()[:, None]
+                shares = share_of_average(self.settings, self._touches[rows].double()).float()[:, None]
                 mean = self.model.table[rows]
                 self.model.table[rows] = mean.lerp(self.network.table[rows], shares.expand_as(mean))
         return value

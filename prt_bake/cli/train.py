@@ -74,6 +74,13 @@ def train(
             show_default=False,
         ),
     ] = None,
+    only_low_bands: Annotated[
+        bool,
+        typer.Option(
+            "--only-low-bands",
+            help="Keep all layers of the --from model but those of the coefficients to degree 2, which bakes use.",
+        ),
+    ] = False,
     samples: Annotated[
         Path | None,
         typer.Option(
@@ -107,7 +114,7 @@ def train(
     module, from which `prtbake render` draws light directions.
     """
     began = time.perf_counter() - _START_AND_END
-    _refuse_ineffective(context, baseline, light, start)
+    _refuse_ineffective(context, baseline, light, start, only_low_bands)
     outputs: dict[str, Paths] = {"--output": output, "the checkpoint": state_path(output)}
     outputs |= {"--report": report_paths(output)} if with_report else {}
     outputs |= {"--importance": importance_path(output)} if with_importance else {}
@@ -134,7 +141,8 @@ def train(
     if baseline is None:
         earlier: Any = None if start is None else load_model(start)
         settings = replace(PRESETS[preset], seed=seed) if start is None else None
-        selected, fitted = select_device(device), partial(fit, settings=settings, start=earlier)
+        selected = select_device(device)
+        fitted = partial(fit, settings=settings, start=earlier, only_low_bands=only_low_bands)
     else:
         from prt_bake.baselines.door import train_baseline
 
@@ -196,7 +204,7 @@ def train(
 
 
 def _refuse_ineffective(
-    context: typer.Context, baseline: str | None, light: list[str] | None, start: Path | None
+    context: typer.Context, baseline: str | None, light: list[str] | None, start: Path | None, only_low_bands: bool
 ) -> None:
     """Raise typer.BadParameter for options that the chosen model does not have."""
     source = context.get_parameter_source("preset")
@@ -206,6 +214,8 @@ def _refuse_ineffective(
     if start is not None and (preset or baseline is not None):
         other = "--preset" if preset else "--baseline"
         raise typer.BadParameter(f"--from: the model is of the kind of the earlier one; omit {other}")
+    if only_low_bands and start is None:
+        raise typer.BadParameter("--only-low-bands: keeps the other layers of an earlier model; name it with --from")
     if light is None:
         return
     from prt_bake.baselines.door import FROM_PICTURES

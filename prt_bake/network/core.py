@@ -119,7 +119,7 @@ class NetworkCore(TrainableModel):
         self.path: ViewPath | None = None
         """Finds the paths of view rays in the meshes of a clear object: see `on`."""
         self._warned = [False]
-        """Whether `warn_without_mesh` has warned; shared with the copies that share the weights."""
+        """Whether `warn_without_mesh` has warned, which copies share."""
         self.band: int | None = None
         """The degree up to which lobes are evaluated; None for all bands: see `smooth` and `up_to`."""
         self.only_low = False
@@ -202,8 +202,7 @@ class NetworkCore(TrainableModel):
     def low_coefficients(self, positions: Tensor, outgoing: Tensor, encoding: ViewEncoding | None = None) -> Tensor:
         """a_lm [N,9,3] to degree 2 over the output scale, of networks with low bands. encoding: as in `components`."""
         assert self.low is not None
-        coefficients: Tensor = self.low(self.view_features(positions, outgoing, encoding))
-        return coefficients
+        return self.low.forward(self.view_features(positions, outgoing, encoding))
 
     def view_features(self, positions: Tensor, outgoing: Tensor, encoding: ViewEncoding | None = None) -> Tensor:
         """Inputs of the first layer [N, settings.view_inputs] in float32, for a network whose late layers see ωi."""
@@ -275,9 +274,10 @@ class NetworkCore(TrainableModel):
         limited.band, limited.only_low = degree, False
         return limited
 
-    def drop_low_bands(self) -> None:
-        """Forget the low bands: the coefficients to degree 2 are then those of Ŝ."""
-        self.low, self.settings = None, replace(self.settings, low_width=0)
+    def set_low_bands(self, low: LowBands | None) -> None:
+        """Take other low bands; without any, the coefficients to degree 2 are those of Ŝ."""
+        self.low = low
+        self.settings = replace(self.settings, low_width=0 if low is None else low.output.in_features)
 
     def warn_without_mesh(self) -> None:
         """Warn, once per network, if normals are an input and no mesh gives them."""

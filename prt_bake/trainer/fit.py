@@ -6,6 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from formats.errors import QueryError
 from formats.scene import Scene
 from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF
 from prt_bake.network.inference.pairs import content_hash
@@ -15,6 +16,7 @@ from prt_bake.tracer.prepared import interface_kind, is_unrefracted
 from prt_bake.tracer.surface.interface import ROUGH
 from prt_bake.trainer.interior import interior_of, is_clear, with_fitting_grid
 from prt_bake.trainer.learner import Learner, LearningSettings
+from prt_bake.trainer.low_bands import OnlyLowBands
 from prt_bake.trainer.training_data import TrainingData, box_of
 
 
@@ -35,15 +37,25 @@ class NetworkFit:
     """Fits a neural BSSRDF."""
 
     def __init__(
-        self, data: TrainingData, settings: NetworkSettings, device: str, start: NeuralBSSRDF | None = None
+        self,
+        data: TrainingData,
+        settings: NetworkSettings,
+        device: str,
+        start: NeuralBSSRDF | None = None,
+        only_low_bands: bool = False,
     ) -> None:
         """Measure the interior of the scene's object. Inputs that are useless for the scene are left out.
 
-        start: has the weights to begin with.
+        start: has the weights to begin with, and to keep in all layers but the low bands if `only_low_bands` is set.
         """
-        self._start = start
+        self._start, self._only_low_bands = start, only_low_bands
         self._scene, self._box, self._device, self._on_gpu = data.scene, data.box, device, data.on_gpu
         settings, self._interior = settings_for(settings, data.scene), None
+        if only_low_bands and not settings.low_width:
+            raise QueryError(
+                f"{data.scene.path}: its networks have no low bands, since its boundary does not bend light, or the "
+                "settings leave them out; train without only_low_bands"
+            )
         if start is not None:
             refuse_other_layers(settings, start.settings)
         if settings.ray_samples:
@@ -55,6 +67,7 @@ class NetworkFit:
             **{f"network {name}": value for name, value in settings.as_json().items()},
             "interior": "" if self._interior is None else self._interior.content_hash,
             "start": None if start is None else content_hash(start),
+            "only low bands": only_low_bands,
         }
 
     def model(self, output_scale: float) -> NeuralBSSRDF:
@@ -70,6 +83,8 @@ class NetworkFit:
 
     def learner(self, model: TrainableModel, learning: LearningSettings) -> Learner:
         """The learner of the device that path traces."""
+        if self._only_low_bands:
+            return OnlyLowBands(model, learning)
         if not self._on_gpu:
             return Learner(model, learning)
         from prt_bake.trainer.gpu.learner import GpuLearner

@@ -15,10 +15,9 @@ from formats.errors import QueryError
 from prt_bake.mathematics.directions import rotations
 from prt_bake.mathematics.sphere import fibonacci
 from prt_bake.network.lobes import Lobes, evaluate_lobes, mean_square
-from prt_bake.network.low_bands import low_harmonics
 from prt_bake.network.model import TrainableModel
 from prt_bake.trainer.muon import Muon
-from prt_bake.trainer.objective import LobeTerms, Loss, exit_loss, low_loss, value_loss
+from prt_bake.trainer.objective import LobeTerms, Loss, exit_loss, value_loss
 from prt_bake.trainer.precision import bfloat16_is_faster
 from prt_bake.trainer.samples.rows import (
     BEFORE_RAYS,
@@ -69,8 +68,8 @@ class LearningSettings:
     coarse_steps: int = 300
     """First steps that use a third of the exits and of the uniform directions. The network learns coarse structure
     first, sooner from many cheap steps."""
-    low_batch: int = 128
-    """Queries per step of the low bands, which take several steps where the other layers take one."""
+    low_batch: int = 512
+    """Queries per step of the low bands (`low_bands.py`)."""
     core_share: float = 0.25
     """Share of the cores that learn (at least one); the others render."""
     checkpoint_every: float = 60.0
@@ -122,13 +121,44 @@ def learning_rate(settings: LearningSettings, share: float) -> float:
     return settings.rate * rise * fall
 
 
+def optimizers_of(weights: list[nn.Parameter], layers: Any, settings: LearningSettings) -> list[torch.optim.Optimizer]:
+    """AdamW for weights, and Muon for those that are matrices of the hidden layers of `layers`."""
+    hidden = getattr(layers, "hidden", ()) if settings.muon else ()
+    matrices = [layer.weight for layer in hidden if isinstance(layer, nn.Linear)]
+    chosen = set(map(id, matrices))
+    others = [part for part in weights if id(part) not in chosen]
+    adam = torch.optim.AdamW(others, lr=settings.rate, betas=(0.9, 0.99), weight_decay=settings.decay)
+    return [adam, Muon(matrices, settings.rate, settings.decay)] if matrices else [adam]
+
+
+def descend(loss: Tensor, optimizers: list[torch.optim.Optimizer]) -> None:
+    """A step of all optimisers down the gradient of a loss."""
+    for optimizer in optimizers:
+        optimizer.zero_grad(set_to_none=True)
+    torch.autograd.backward(loss)
+    for optimizer in optimizers:
+        optimizer.step()
+
+
+def share_of_average(settings: LearningSettings, step: Any) -> Any:
+    """The share with which step s of t, a number or a tensor, has a weight of about (s/t)^γ in the average."""
+    gamma = 1.0 / settings.average_length - 2.0
+    return 1.0 - (1.0 - 1.0 / step) ** (gamma + 1.0)
+
+
+@torch.no_grad()
+def move_average(average: nn.Module, weights: nn.Module, share: float | Tensor) -> None:
+    """Move an average of weights towards them by a share of the way."""
+    for mean, last in zip(average.parameters(), weights.parameters(), strict=True):
+        mean.lerp_(last, share)
+
+
 class Learner:
     """A network in training.
 
     Attributes:
         network: has the last weights.
         model: has the weights of the model, their running average unless `settings.average` is off.
-        optimizers: those of the low bands last, if there are any.
         step: optimiser steps so far.
         bfloat16: whether matrix products are in bfloat16.
     """
@@ -136,11 +166,8 @@ class Learner:
     def __init__(self, network: TrainableModel, settings: LearningSettings) -> None:
         """Learn on the network's device."""
         self.network, self.settings = network, settings
-        self._low: Any = getattr(network, "low", None)
         self.model = copy.deepcopy(network) if settings.average else network
-        self._own_optimizers = self._optimizers()
-        self._low_optimizers = [] if self._low is None else self._optimizers_of(list(self._low.parameters()), self._low)
-        self.optimizers = [*self._own_optimizers, *self._low_optimizers]
+        self.optimizers = self._optimizers()
         self.step = 0
         self._device = network.box_min.device
         self.bfloat16 = settings.bfloat16 and bfloat16_is_faster(self._device.type)
@@ -171,12 +198,10 @@ class Learner:
         value = float(loss.detach())
         if not math.isfinite(value):
             raise QueryError(self._error(source, batch, losses.detach().cpu().numpy(), value))
-        self._descend(loss, self._own_optimizers)
-        if self._low is not None:
-            self._learn_low(rows, encoding)
+        descend(loss, self.optimizers)
         self.step += 1
         if self.settings.average:
-            self._average(self._share_of_average(self.step))
+            self._average(share_of_average(self.settings, self.step))
         return value
 
     def result(self) -> TrainableModel:
@@ -212,38 +237,13 @@ class Learner:
         self.step = int(state["step"])
         self.bfloat16 = bool(state.get("bfloat16", self.bfloat16))
 
-    def _descend(self, loss: Tensor, optimizers: list[torch.optim.Optimizer]) -> None:
-        """A step of some optimisers down the gradient of a loss."""
-        for optimizer in optimizers:
-            optimizer.zero_grad(set_to_none=True)
-        torch.autograd.backward(loss)
-        for optimizer in optimizers:
-            optimizer.step()
-
-    def _learn_low(self, rows: Tensor, encoding: Any) -> None:
-        """Steps of the low bands, which fit all paths of the rows."""
-        network: Any = self.network
-        with torch.no_grad():
-            features = network.view_features(self._positions(rows), rows[:, OUTGOING], encoding)
-        rays = rays_of(rows)
-        harmonics, throughput = low_harmonics(rays[..., INCIDENT]), rays[..., CHANNELS] / network.output_scale
-        parts = (torch.split(whole, self.settings.low_batch) for whole in (features, harmonics, throughput))
-        for some, *of_paths in zip(*parts, strict=True):
-            self._descend(low_loss(self._low(some), *of_paths).mean(), self._low_optimizers)
-
     def _optimizers(self) -> list[torch.optim.Optimizer]:
-        """The optimisers of all weights but those of the low bands."""
-        low = set() if self._low is None else set(map(id, self._low.parameters()))
-        return self._optimizers_of([part for part in self.network.parameters() if id(part) not in low], self.network)
+        """The optimisers of all weights."""
+        return optimizers_of(list(self.network.parameters()), self.network, self.settings)
 
-    def _optimizers_of(self, weights: list[nn.Parameter], layers: Any) -> list[torch.optim.Optimizer]:
-        """AdamW, and Muon for the matrices of the hidden layers of `layers`."""
-        hidden = getattr(layers, "hidden", ()) if self.settings.muon else ()
-        matrices = [layer.weight for layer in hidden if isinstance(layer, nn.Linear)]
-        chosen, rate, decay = set(map(id, matrices)), self.settings.rate, self.settings.decay
-        others = [part for part in weights if id(part) not in chosen]
-        adam = torch.optim.AdamW(others, lr=rate, betas=(0.9, 0.99), weight_decay=decay)
-        return [adam, Muon(matrices, rate, decay)] if matrices else [adam]
+    def _average(self, share: float | Tensor) -> None:
+        """Move the average towards the weights by a share of the way."""
+        move_average(self.model, self.network, share)
 
     def _groups(self) -> list[dict[str, Any]]:
         """The groups of weights of all optimisers."""
@@ -281,17 +281,6 @@ class Learner:
         """Positions [Q,3] in the scene's units."""
         positions: Tensor = self.network.box_min + self.network.box_side * rows[:, POSITION].double()
         return positions
-
-    def _average(self, share: float | Tensor) -> None:
-        """Move the average towards the weights by a share of the way."""
-        with torch.no_grad():
-            for mean, weights in zip(self.model.parameters(), self.network.parameters(), strict=True):
-                mean.lerp_(weights, share)
-
-    def _share_of_average(self, step: Any) -> Any:
-        """The share with which step s of t, a number or a tensor, has a weight of about (s/t)^γ in the average."""
-        gamma = 1.0 / self.settings.average_length - 2.0
-        return 1.0 - (1.0 - 1.0 / step) ** (gamma + 1.0)
 
     def _error(self, source: RowSource, batch: Batch, losses: NDArray[np.float32], value: float) -> str:
         """The message about a loss that is not finite: the query and the ray that caused it."""

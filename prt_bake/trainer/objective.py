@@ -48,14 +48,13 @@ def exit_loss(
     return squares - (2.0 / _SPHERE) * products
 
 
-def low_loss(coefficients: Tensor, harmonics: Tensor, throughput: Tensor) -> Tensor:
-    """Loss [Q] of coefficients [Q,K,3] from the exits of P walks: their squared distance to the walks' mean T · Y_lm.
+def low_loss(coefficients: Tensor, estimates: Tensor) -> Tensor:
+    """Loss [Q] of coefficients [Q,K,3] from estimates [Q,K,3], each the mean T · Y_lm over a query's walks.
 
-    harmonics [Q,P,K] are those of the exits' directions, throughput [Q,P,3] is over the output scale. The distance is
-    that of the functions, as a mean over the sphere. Up to the walks' noise, a constant, it is that to the truth.
+    It is the squared distance of the functions, as a mean over the sphere. Its expectation is the distance to the truth
+    plus a constant, the walks' noise.
     """
-    sampled = harmonics.transpose(1, 2) @ throughput / throughput.shape[1]
-    return torch.sum(torch.mean((coefficients - sampled) ** 2, dim=-1), dim=-1) / _SPHERE
+    return torch.sum(torch.mean((coefficients - estimates) ** 2, dim=-1), dim=-1) / _SPHERE
 
 
 def _weight(predicted: Tensor, loss: Loss, floor: float) -> Tensor:

@@ -24,6 +24,7 @@ from prt_bake.trainer.references import Follow
 from prt_bake.trainer.samples.queries import Queries
 from prt_bake.trainer.samples.repeatable import ShuffledRows
 from prt_bake.trainer.samples.rows import Batch, Box, RowSource, SourceStatistics, build_batch
+from prt_bake.trainer.samples.traced import TracedQueries
 from prt_bake.trainer.training_data import box_of
 from prt_bake.trainer.validation import HeldOut, Reference, final_errors, relative_noise
 
@@ -135,6 +136,7 @@ class FileRows:
     """Training rows of a file's samples, in repeated passes."""
 
     exits = False
+    traced: TracedQueries | None = None
 
     def __init__(
         self,

@@ -4,14 +4,19 @@ The encoding of a view (its ray through the object and what the ray meets) does 
 computing it takes up to half as long as a training step. Threads beside the learner compute it for the next batches.
 """
 
+import itertools
 from collections import deque
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from prt_bake.trainer.learner import Learner
 from prt_bake.trainer.samples.rows import Batch, RowSource
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 
 
 class PreparedBatch(NamedTuple):
@@ -26,25 +31,33 @@ class Prefetcher:
 
     def __init__(self, source: RowSource, learner: Learner, generator: np.random.Generator, threads: int) -> None:
         """`threads` batches are prepared in advance; with 0 each batch is prepared when it is drawn."""
-        self._source, self._learner, self._generator, self._threads = source, learner, generator, threads
-        self._pool = ThreadPoolExecutor(threads, "prtbake-prefetch") if threads else None
-        self._pending: deque[Future[PreparedBatch]] = deque()
+        batches = (source.draw(learner.settings.batch, generator) for _ in itertools.count())
+        self._prepared = in_advance(lambda batch: PreparedBatch(batch, learner.encode_views(batch)), batches, threads)
 
     def draw(self) -> PreparedBatch:
         """The next batch; raises the source's error as soon as prefetching meets it."""
-        if self._pool is None:
-            return self._prepare(self._rows())
-        while len(self._pending) <= self._threads:
-            self._pending.append(self._pool.submit(self._prepare, self._rows()))
-        return self._pending.popleft().result()
+        return next(self._prepared)
 
     def stop(self) -> None:
         """End the threads and discard prefetched batches."""
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
+        self._prepared.close()
 
-    def _rows(self) -> Batch:
-        return self._source.draw(self._learner.settings.batch, self._generator)
 
-    def _prepare(self, batch: Batch) -> PreparedBatch:
-        return PreparedBatch(batch, self._learner.encode_views(batch))
+def in_advance(
+    function: Callable[[_Item], _Result], items: Iterable[_Item], threads: int
+) -> Generator[_Result, None, None]:
+    """The function's result for each item, in order; `threads` threads compute as many results in advance."""
+    if threads == 0:
+        yield from map(function, items)
+        return
+    pending: deque[Future[_Result]] = deque()
+    pool = ThreadPoolExecutor(threads, "prtbake-prefetch")
+    try:
+        for item in items:
+            pending.append(pool.submit(function, item))
+            if len(pending) > threads:
+                yield pending.popleft().result()
+        while pending:
+            yield pending.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)

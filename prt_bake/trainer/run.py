@@ -16,9 +16,11 @@ import torch
 from prt_bake.network.bssrdf import save_model
 from prt_bake.network.model import TrainableModel
 from prt_bake.trainer.budget import Budget
+from prt_bake.trainer.cores import available_cores
 from prt_bake.trainer.fit import Fit
 from prt_bake.trainer.history import Meter, TrainingProgress, every_tenth
 from prt_bake.trainer.learner import LearningSettings
+from prt_bake.trainer.low_bands import SHARE_OF_TIME, STEPS_A_STEP, fit_low_bands
 from prt_bake.trainer.prefetch import Prefetcher
 from prt_bake.trainer.resume import read_state, write_state
 from prt_bake.trainer.samples.rows import RowSource
@@ -42,7 +44,11 @@ class Run:
         self.reference = data.reference(
             learning, math.inf if budget is None else budget.validation, partial(part, "validation queries")
         )
-        model = fit.model(self.reference.scale() or 1.0)
+        model: Any = fit.model(self.reference.scale() or 1.0)
+        self.low = getattr(model, "low", None)
+        """The low bands before they are fitted, which the model lacks until then."""
+        if self.low is not None:
+            model.set_low_bands(None)
         # The faster precision is measured by a clock, which must not decide the bits of a synchronous run.
         self.learner = fit.learner(model, replace(learning, bfloat16=False) if self.synchronous else learning)
         self.generator = np.random.default_rng(seed)
@@ -51,6 +57,8 @@ class Run:
         """Seconds of learning of the complete run, if it ends by time."""
         self.stopped = False
         self.source: RowSource | None = None
+        self._stop: Callable[[], bool] = lambda: False
+        self.traced_state: dict[str, Any] | None = None
         self.source_state: dict[str, int] | None = None
         self.history: list[TrainingProgress] = []
 
@@ -62,6 +70,7 @@ class Run:
         self.learner.restore(state["learner"])
         self.generator.bit_generator.state = json.loads(state["generator"])
         self.seconds, self.source_state = float(state["seconds"]), dict(state["source"])
+        self.traced_state = state["queries"]
         self.history = [TrainingProgress(**report) for report in state["history"]]
 
     def nothing_left(self, steps: int | None) -> bool:
@@ -80,6 +89,7 @@ class Run:
             "learner": self.learner.state(),
             "generator": json.dumps(self.generator.bit_generator.state, allow_nan=False),
             "source": self.source.state(),
+            "queries": self.source.traced.state() if self.low is not None and self.source.traced is not None else None,
             "seconds": self.seconds,
             **({} if self.budget is None else {"spent": self.budget.spent}),
             "history": [asdict(report) for report in self.history],
@@ -90,7 +100,10 @@ class Run:
     ) -> None:
         """Learn until the end of the run, or until it is stopped."""
         device = self.learner.network.box_min.device.type
+        self._stop = stop
         self.source = self.data.source(self.learning, self.learner.network, self.source_state)
+        if self.traced_state is not None and self.source.traced is not None:
+            self.source.traced.restore(self.traced_state, self.learner.network.box_min.device)
         threads_before = torch.get_num_threads()
         threads = self.data.learner_threads(self.learning, device)
         prefetching = 0 if self.synchronous or device != "cpu" else threads
@@ -118,8 +131,7 @@ class Run:
         stop: Callable[[], bool],
     ) -> None:
         before = self.seconds
-        if self.budget is not None:
-            self.length = before + self.budget.learning(before)
+        self._set_length(before)
         first, begun = True, time.perf_counter()
         saved = begun
         meter = Meter(source.statistics())
@@ -135,7 +147,7 @@ class Run:
             meter.add_step(self.learner.learn(source, batch, share, self.generator, encoding), len(batch.rows))
             if first and self.budget is not None:  # it has compiled and loaded kernels, which is not learning
                 begun = time.perf_counter()
-                self.length = before + self.budget.learning(before)
+                self._set_length(before)
             first = False
             self.seconds = before + time.perf_counter() - begun
             if meter.seconds > self.learning.report_every:
@@ -147,6 +159,17 @@ class Run:
         self.learner.check(source)
         if not meter.empty:
             self._report(meter, 1.0, source, progress)
+
+    def _set_length(self, before: float) -> None:
+        """Set the length of a run by time that has learned for `before` seconds: low bands are fitted after it."""
+        if self.budget is not None:
+            self.length = before + (1.0 - self._share_of_low_bands) * self.budget.learning(before)
+
+    @property
+    def _share_of_low_bands(self) -> float:
+        """The share of the time of learning in which low bands are fitted."""
+        traced = self.source is not None and self.source.traced is not None
+        return SHARE_OF_TIME if traced and self.low is not None else 0.0
 
     def share(self, steps: int | None) -> float:
         """The share of the run that is over, by steps if given, else by time."""
@@ -169,15 +192,15 @@ class Run:
         save_model(self.learner.model, output)
         write_state(output, self.state())
 
-    def finish(self, output: str | Path | None) -> TrainableModel:
-        """Round the weights, measure the final errors unless the run was stopped, and write the model.
+    def finish(self, steps: int | None, output: str | Path | None) -> TrainableModel:
+        """Fit the low bands and measure the final errors unless the run was stopped, and write the model.
 
-        A KeyboardInterrupt ends the measurement alone.
+        A KeyboardInterrupt ends the fit or the measurement, and keeps what was learned.
         """
         assert self.source is not None
-        if output is not None:  # measuring takes long and may be interrupted
+        if output is not None:  # the rest takes long and may be interrupted
             self.save(output)
-        network = self._with_useful_bands(self.learner.result())
+        network = self._with_low_bands(self.learner.result(), steps)
         training: dict[str, Any] = {
             "seconds": self.seconds,
             "steps": self.learner.step,
@@ -202,17 +225,51 @@ class Run:
             save_model(network, output)
         return network
 
-    def _with_useful_bands(self, network: TrainableModel) -> TrainableModel:
-        """The network without its low bands if its other layers have learned the coefficients better.
+    def _with_low_bands(self, network: Any, steps: int | None) -> TrainableModel:
+        """The network with low bands that are fitted to all queries of the run.
 
-        Low bands begin anew where an earlier network without them is trained on.
+        It keeps those of an earlier network, or has none, if that has less error.
         """
-        if getattr(network, "low", None) is None:
+        if self.low is None:
+            assert isinstance(network, TrainableModel)
             return network
-        without: Any = deepcopy(network)
-        without.drop_low_bands()
-        errors = [self.reference.relative_rmse(each) for each in (network, without)]
-        return without if errors[1] < errors[0] else network
+        fitted, before = deepcopy(network), deepcopy(network)
+        fitted.set_low_bands(self.low)
+        before.set_low_bands(deepcopy(self.low))
+        try:
+            self._fit_low_bands(fitted, steps)
+        except KeyboardInterrupt:
+            self.stopped = True
+        chosen: TrainableModel = min((network, before.rounded(), fitted.rounded()), key=self.reference.relative_rmse)
+        return chosen
+
+    def _fit_low_bands(self, network: Any, steps: int | None) -> None:
+        """Fit the network's low bands, for as long as the budget leaves."""
+        assert self.source is not None
+        queries = None if self.source.traced is None else self.source.traced.joined()
+        if self.stopped or queries is None:
+            return
+
+        def follow(share: float) -> None:
+            self.part("low bands", share)
+            if self._stop():
+                raise KeyboardInterrupt
+
+        threads_before = torch.get_num_threads()
+        torch.set_num_threads(self.data.learner_threads(self.learning, network.box_min.device.type))
+        try:
+            fit_low_bands(
+                network,
+                queries,
+                self.learning,
+                self.seed,
+                0 if self.synchronous else available_cores(),
+                steps=None if steps is None else STEPS_A_STEP * self.learner.step,
+                seconds=math.inf if self.budget is None else self.budget.learning(self.seconds),
+                follow=follow,
+            )
+        finally:
+            torch.set_num_threads(threads_before)
 
     def _errors(self, network: TrainableModel) -> dict[str, Any]:
         """The final errors."""

@@ -43,6 +43,7 @@ def train(
     seed: int = 0,
     settings: NetworkSettings | None = None,
     start: NeuralBSSRDF | None = None,
+    only_low_bands: bool = False,
     device: str = "auto",
     output: str | Path | None = None,
     resume: bool = False,
@@ -68,6 +69,8 @@ def train(
         settings: the network; by default the preset "measured" with `seed`. `PRESETS["paper"]` is the paper's.
         start: network to start from, of the same object with another material, or of a similar one. It needs far fewer
             steps than a new one. Use its seed if you give settings.
+        only_low_bands: keep all layers of `start` but its low bands, the coefficients to degree 2 that bakes use. All
+            the time goes to paths for these.
         device: "auto" (CUDA if available), "cpu" or "cuda".
         output: path of the model, written once a minute and at the end, with a checkpoint for `resume` beside it.
         resume: continue the run whose checkpoint is beside `output`.
@@ -79,16 +82,18 @@ def train(
             the training early and keeps what was learned; the final errors are not measured then.
         say: called with sentences about what is being done.
         stop: ends the training like a KeyboardInterrupt, after a complete step, when it returns True.
-        part: called with "validation queries", "learning" or "final errors" and the finished share of that part.
+        part: called with "validation queries", "learning", "low bands" or "final errors", and the share of that part
+            that is over.
         budget: the wall time of a run that has further parts; by default `minutes` from now.
         stream, learning: settings of the renderer and of the optimiser.
 
     Returns the network. `network.metadata["training"]` has its final errors as "relative_rmse": the relative RMSE of Ŝ
     and of a_lm on fresh queries, corrected for the reference's noise. A run that was stopped has none.
 
-    Raises QueryError for a time that is not positive, for `synchronous` without `steps`, and for a loss that is not
-    finite, naming the query; SamplesError for a file that is damaged or belongs to another scene; ModelError for a
-    checkpoint that cannot be resumed; StorageError, at once, if `output` cannot be written.
+    Raises QueryError for a time that is not positive, for `synchronous` without `steps`, for `only_low_bands` where
+    there are none to learn, and for a loss that is not finite, naming the query; SamplesError for a file that is
+    damaged or belongs to another scene; ModelError for a checkpoint that cannot be resumed; StorageError, at once, if
+    `output` cannot be written.
 
     >>> import prt_bake as prt
     >>> scene = prt.load_scene("spot.toml")
@@ -98,15 +103,20 @@ def train(
     """
     if start is not None and not isinstance(start, NeuralBSSRDF):
         raise QueryError(f"start: expected a neural BSSRDF, found {type(start).__name__}; train without it")
+    if only_low_bands and start is None:
+        raise QueryError("only_low_bands: needs start, a network whose other layers are kept")
+    if only_low_bands and (samples is not None or (stream is not None and stream.rays == "values")):
+        raise QueryError("only_low_bands: low bands learn from exits of paths; train without samples, or with exits")
     chosen = settings or replace(PRESETS["measured"], seed=seed if start is None else start.settings.seed)
 
     def fit(data: TrainingData, device: str) -> NetworkFit:
-        return NetworkFit(data, chosen, device, start)
+        return NetworkFit(data, chosen, device, start, only_low_bands)
 
     network = train_model(
         scene,
         fit,
         started=start is not None,
+        many_walks=only_low_bands,
         minutes=minutes,
         steps=steps,
         seed=seed,
@@ -132,6 +142,7 @@ def train_model(
     make: Callable[[TrainingData, str], Fit],
     *,
     started: bool = False,
+    many_walks: bool = False,
     minutes: float = 10.0,
     steps: int | None = None,
     seed: int = 0,
@@ -150,7 +161,8 @@ def train_model(
 ) -> TrainableModel:
     """`train` for any model: `make(data, device)` says what is fitted.
 
-    started: whether its weights are those of an earlier training.
+    started: whether its weights are those of an earlier training. many_walks: whether each query has the most walks
+    that the renderer's settings allow, although the learner waits.
     """
     refuse_path("scene", scene, "prt.load_scene")
     if minutes <= 0 or (steps is not None and steps < 1):
@@ -181,7 +193,9 @@ def train_model(
             report("path tracing the validation queries")
             values = stream is not None and stream.rays == "values"
             walking = walking_device(chosen, synchronous or values, report)
-            data = PathTracedData(scene, stream or stream_for(walking, synchronous), seed, synchronous, walking)
+            renderer = stream or stream_for(walking, synchronous)
+            renderer = replace(renderer, least_exits=renderer.exits) if many_walks else renderer
+            data = PathTracedData(scene, renderer, seed, synchronous, walking)
         run = Run(data, make(data, chosen), learning or learning_for(data, started), seed, timed, follow)
         if resume:
             assert output is not None
@@ -193,4 +207,4 @@ def train_model(
                 )
         report(f"learning; the validation error is that of {QUANTITIES[run.reference.quantity]}")
         run.learn(steps, output, progress, stop or (lambda: False))
-        return run.finish(output)
+        return run.finish(steps, output)

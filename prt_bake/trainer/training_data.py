@@ -81,8 +81,8 @@ class PathTracedData:
             return compiled_renderer(
                 self.scene, self._prepared, self.box, self._stream, self._seed, learning.batch, paths, state
             )
+        row_tracer(self.scene, self._prepared, self.box, self._stream, self._seed).render(0, 1)
         tracer: RowTracer = row_tracer(self.scene, self._prepared, self.box, self._stream, self._seed)
-        tracer.render(0, 1)
         if self._synchronous:
             return AlternatingRenderer(tracer, self._stream, alternating_threads().renderer, self._seed, state)
         device = network.box_min.device.type

@@ -1,6 +1,7 @@
 """Learners and networks compared on the same path-traced rows: python -m tests.bench.same_rows SCENE.toml [VARIANT …].
 
-Every variant takes the same steps on the same rows, each of which is used once. Prints the error of a_lm over the
+Every variant takes the same steps on the same rows, each of which is used once, and then fits low bands to the queries
+of the rows in several passes. Prints the error of a_lm over the
 surface without the reference's noise, by band and by channel. Half a minute of paths in a clear object, ten minutes in
 a dense one; then one to four minutes for each variant.
 """
@@ -21,7 +22,9 @@ from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.fit import settings_for
 from prt_bake.trainer.interior import interior_of, with_fitting_grid
 from prt_bake.trainer.learner import Learner, LearningSettings, continued
+from prt_bake.trainer.low_bands import fit_low_bands
 from prt_bake.trainer.samples.rows import Batch, ExitTracer, StreamSettings
+from prt_bake.trainer.samples.traced import Traced
 from prt_bake.trainer.training_data import box_of
 from prt_bake.trainer.validation import HeldOutCoefficients, hold_out_coefficients, network_coefficients
 
@@ -36,6 +39,8 @@ class Variant:
     network: dict[str, Any] = field(default_factory=dict)
     share: float = 1.0
     """Of the rows."""
+    passes: int | None = None
+    """Of the low bands; by default as many as in a training that has time."""
 
 
 VARIANTS = {
@@ -47,6 +52,8 @@ VARIANTS = {
     "24 uniform directions, all rays from the first step": Variant({"spread": 24, "coarse_steps": 0}),
     "without low bands": Variant(network={"low_width": 0}),
     "without low bands, all rays from the first step": Variant({"coarse_steps": 0}, {"low_width": 0}),
+    "one pass of the low bands": Variant(passes=1),
+    "four passes of the low bands": Variant(passes=4),
     "AdamW alone, all rays from the first step": Variant({"coarse_steps": 0, "muon": False}),
     "rate 0.008": Variant({"rate": 8e-3}),
     "weight decay 0.3": Variant({"decay": 0.3}),
@@ -82,26 +89,30 @@ def main() -> None:
     torch.set_num_threads(1)
     scene = read_scene(arguments.scene)
     reference = hold_out_coefficients(scene, 1000, arguments.walks, 777, 512)
-    rows = traced_rows(scene, arguments.queries, StreamSettings(exits=arguments.paths, kept=arguments.rays))
+    rows, queries = traced_rows(scene, arguments.queries, StreamSettings(exits=arguments.paths, kept=arguments.rays))
     start = None if arguments.start is None else load_model(arguments.start)
     if start is not None and start.box_min.tolist() == box_of(scene).corner.tolist():
         print(f"{arguments.start}: {errors(start.on(scene.mesh), reference)}", flush=True)
     for name in arguments.variants:
         begun = time.perf_counter()
-        network, steps = trained(scene, rows, reference.scale(), VARIANTS[name], start)
+        network, steps = trained(scene, rows, queries, reference.scale(), VARIANTS[name], start)
         seconds = time.perf_counter() - begun
         print(f"{name:52s} {steps} steps, {seconds:4.0f} s, {errors(network, reference)}", flush=True)
 
 
-def traced_rows(scene: Scene, count: int, settings: StreamSettings) -> Array:
-    """Rows of `count` queries."""
+def traced_rows(scene: Scene, count: int, settings: StreamSettings) -> tuple[Array, Traced]:
+    """Rows of `count` queries, and the coefficients of all their walks."""
     tracer = ExitTracer(prepare(scene), box_of(scene), settings, 0)
     block = 4096
     blocks = [tracer.render(first, min(block, count - first)).rows for first in range(0, count, block)]
-    return np.concatenate(blocks)
+    queries = None if tracer.traced is None else tracer.traced.joined()
+    assert queries is not None
+    return np.concatenate(blocks), queries
 
 
-def trained(scene: Scene, rows: Array, scale: float, variant: Variant, start: Any = None) -> tuple[NeuralBSSRDF, int]:
+def trained(
+    scene: Scene, rows: Array, queries: Traced, scale: float, variant: Variant, start: Any = None
+) -> tuple[NeuralBSSRDF, int]:
     """The network of a variant after one pass over its rows, and its steps."""
     box, settings = box_of(scene), replace(settings_for(PRESETS["measured"], scene), **variant.network)
     interior = interior_of(scene, box, with_meshes=True, with_material=settings.material_channels > 0)
@@ -118,7 +129,12 @@ def trained(scene: Scene, rows: Array, scale: float, variant: Variant, start: An
     for step in range(steps):
         some = rows[step * batch : (step + 1) * batch]
         learner.learn(source, Batch(some, np.arange(batch)), step / steps, generator)
-    return learner.result(), steps
+    model: Any = learner.result()
+    if model.low is not None:
+        some = Traced._make(part[: steps * batch] for part in queries)
+        passes = None if variant.passes is None else variant.passes * steps * batch // learning.low_batch
+        fit_low_bands(model, some, learner.settings, 0, 0, steps=passes)
+    return model.rounded(), steps
 
 
 class _Rows:

@@ -98,6 +98,7 @@ def test_a_training_starts_from_an_earlier_model(prtbake: Run, tmp_path: Path) -
         (("--from", "model.pt", "--baseline", "neumip"), "omit --baseline"),
         (("--from", "scene.toml"), "expected a model (--from), found a scene"),
         (("--from", "model.pt"), "the network to start from has features 8"),
+        (("--only-low-bands",), "name it with --from"),
     ],
 )
 def test_what_a_training_cannot_start_from(

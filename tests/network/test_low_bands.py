@@ -108,11 +108,15 @@ def test_a_file_keeps_low_bands(tmp_path: Path) -> None:
     np.testing.assert_array_equal(coefficients(again), coefficients(made))
 
 
-def test_a_network_can_lose_them() -> None:
-    made, plain = network(), network(LOBED)
-    made.drop_low_bands()
+def test_a_network_can_lose_them_and_take_others() -> None:
+    made, plain, other = network(), network(LOBED), network()
+    low, settings = made.low, made.settings
+    made.set_low_bands(None)
     assert made.settings == plain.settings
     np.testing.assert_array_equal(projected(made.up_to(2), 40), projected(plain.up_to(2), 40))
+    made.set_low_bands(low)
+    assert made.settings == settings
+    np.testing.assert_array_equal(coefficients(made), coefficients(other))
 
 
 def test_a_training_starts_from_low_bands_if_there_are_any() -> None:

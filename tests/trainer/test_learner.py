@@ -10,7 +10,15 @@ import torch
 from formats.errors import QueryError
 from prt_bake.mathematics import sphere
 from prt_bake.network.bssrdf import NeuralBSSRDF
-from prt_bake.trainer.learner import Learner, LearningSettings, every_third, learning_rate, rotated_lattice
+from prt_bake.trainer.learner import (
+    Learner,
+    LearningSettings,
+    every_third,
+    learning_rate,
+    move_average,
+    rotated_lattice,
+    share_of_average,
+)
 from prt_bake.trainer.objective import exit_loss, value_loss
 from prt_bake.trainer.samples.rows import CHANNELS, INCIDENT, OUTGOING, POSITION, Batch, rays_of
 from tests.trainer.small_training import LEARNING, SMALL
@@ -196,7 +204,7 @@ def test_the_average_weights_late_steps_more():
             with torch.no_grad():
                 for parameter in learner.network.parameters():
                     parameter.fill_(float(step))
-            learner._average(learner._share_of_average(learner.step))
+            move_average(learner.model, learner.network, share_of_average(learner.settings, step))
         lag = 1.0 - float(learner.model.output.bias.detach()[0]) / 400
         assert lag == pytest.approx(length, abs=0.01)
 

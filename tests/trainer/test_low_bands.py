@@ -1,8 +1,8 @@
-"""Learning low bands: an unbiased loss, weights of their own, and that they stay only if they are better."""
+"""Fitting low bands: an unbiased loss, passes over all queries, and which low bands a run keeps."""
 
-import copy
 import itertools
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,42 +10,63 @@ import numpy as np
 import pytest
 import torch
 
+from formats.errors import ModelError, QueryError
+from formats.scene import Scene
 from prt_bake.mathematics import sh
-from prt_bake.network.bssrdf import NeuralBSSRDF
-from prt_bake.network.low_bands import low_harmonics
-from prt_bake.trainer.learner import Learner, LearningSettings
+from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF
+from prt_bake.trainer.learner import LearningSettings
+from prt_bake.trainer.low_bands import fit_low_bands, orders
 from prt_bake.trainer.objective import low_loss
 from prt_bake.trainer.run import Run
-from prt_bake.trainer.samples.rows import CHANNELS, INCIDENT, OUTGOING, POSITION, Batch, rays_of
+from prt_bake.trainer.samples.rows import OUTGOING, POSITION
+from prt_bake.trainer.samples.traced import Traced, TracedQueries, mean_coefficients
+from prt_bake.trainer.train import train
 from tests.network import WITHOUT_MESH
-from tests.network.test_low_bands import SETTINGS, glass_ball, network
-from tests.trainer.test_learner import ALBEDO, Rows, exits, nodes, sphere_mean, transport, uniform_directions
+from tests.network.test_lobes import glass_ball
+from tests.network.test_low_bands import SETTINGS, network
+from tests.trainer.small_training import LEARNING, STREAM, make_scene
+from tests.trainer.test_learner import ALBEDO, exits, nodes, sphere_mean, transport, uniform_directions
 
 pytestmark = WITHOUT_MESH
 SPHERE = 4.0 * np.pi
 TRUTH = SPHERE * sphere_mean(sh.evaluate(nodes(), 2)[:, :, None] * transport(nodes())[:, None])
 """a_lm [9,3] of the transport of `tests.trainer.test_learner`."""
+SMALL = replace(PRESETS["measured"], features=12, width=16, ray_samples=4, grid_places=4, lobes=0, low_width=12)
+QUICK = replace(LEARNING, batch=64, low_batch=64, held_out_queries=16, held_out_walks=16)
 
 
-def batch(count: int, rays: int, generator: np.random.Generator, scale: float = 1.0) -> Batch:
-    """Rows of queries anywhere in the box, all of whose walks follow `transport`."""
-    rows = np.zeros((count, 6 + 6 * rays), np.float32)
-    rows[:, POSITION], rows[:, OUTGOING] = generator.random((count, 3)), uniform_directions(count, generator)
-    each = rays_of(rows)
-    each[..., INCIDENT], each[..., CHANNELS] = exits(count * rays, generator).reshape(count, rays, 3), scale * ALBEDO
-    return Batch(rows, np.arange(count))
+def queries(count: int, walks: int, generator: np.random.Generator, scale: float = 1.0) -> Traced:
+    """Queries anywhere in the box, all of whose walks follow `transport`."""
+    made = TracedQueries()
+    directions = exits(count * walks, generator).reshape(count, walks, 3)
+    views = np.concatenate([generator.random((count, 3)), uniform_directions(count, generator)], axis=1)
+    made.add(0, views, mean_coefficients(directions, np.broadcast_to(scale * ALBEDO, directions.shape)))
+    found = made.joined()
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return make_scene(tmp_path_factory.mktemp("scene"), eta=1.3, roughness=0.3)
+
+
+def trained(scene: Scene, steps: int | None, settings: NetworkSettings = SMALL, **arguments: Any) -> NeuralBSSRDF:
+    chosen = {"settings": settings, "learning": QUICK, "stream": STREAM, "seed": 1}
+    return train(scene, steps=steps, **{**chosen, **arguments})
+
+
+def other_layers(made: NeuralBSSRDF) -> dict[str, torch.Tensor]:
+    return {name: weights for name, weights in made.named_parameters() if not name.startswith("low.")}
 
 
 def test_the_loss_is_the_squared_distance_plus_a_constant() -> None:
     """Differences of the mean loss at several coefficients are those of the distances, within 4 standard errors."""
     generator = np.random.default_rng(1)
-    directions = torch.from_numpy(exits(4 * 200_000, generator).reshape(-1, 4, 3))
-    throughput = torch.from_numpy(ALBEDO).expand(len(directions), 4, 3).float()
-    harmonics = low_harmonics(directions)
+    estimates = queries(100_000, 4, generator).coefficients(slice(None))
 
     def losses(coefficients: np.ndarray) -> np.ndarray:
-        rows = torch.from_numpy(coefficients).float().expand(len(directions), 9, 3)
-        return low_loss(rows, harmonics, throughput).double().numpy()
+        return low_loss(torch.from_numpy(coefficients).float().expand(estimates.shape), estimates).double().numpy()
 
     at_truth = losses(TRUTH)
     for offset in generator.normal(size=(3, 9, 3)):
@@ -56,67 +77,170 @@ def test_the_loss_is_the_squared_distance_plus_a_constant() -> None:
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e3])
-def test_low_bands_learn_what_walks_say_in_many_small_steps(scale: float) -> None:
+@pytest.mark.parametrize("threads", [0, 2])
+def test_a_fit_finds_what_walks_say(scale: float, threads: int) -> None:
     generator = np.random.default_rng(2)
     made = NeuralBSSRDF(SETTINGS, output_scale=0.7 * scale, interior=glass_ball(1.4))
-    learner = Learner(made, LearningSettings(bfloat16=False, low_batch=16, coarse_steps=0))
-    for step in range(150):
-        rows = batch(64, 16, generator, scale)
-        learner.learn(Rows(rows, exits=True), rows, step / 150, generator)
-    assert learner.optimizers[-1].state_dict()["param_groups"][0]["lr"] == learner.optimizers[0].param_groups[0]["lr"]
-    steps = learner.optimizers[-2].state_dict()["state"][0]["step"]
-    assert int(steps) == 4 * 150
-    views = torch.from_numpy(batch(200, 1, generator).rows)
-    result: Any = learner.result()
+    learning, shares = LearningSettings(low_batch=32), list[float]()
+    fit_low_bands(made, queries(3000, 16, generator, scale), learning, 0, threads, steps=400, follow=shares.append)
+    np.testing.assert_allclose(shares, np.arange(400) / 400)
+    views = queries(200, 1, generator).views
     with torch.no_grad():
-        found = result.low_coefficients(views[:, POSITION], views[:, OUTGOING])
-    off = np.linalg.norm(found.numpy() * result.output_scale / scale - TRUTH, axis=(1, 2)) / np.linalg.norm(TRUTH)
+        found = made.low_coefficients(views[:, POSITION], views[:, OUTGOING])
+    off = np.linalg.norm(found.numpy() * made.output_scale / scale - TRUTH, axis=(1, 2)) / np.linalg.norm(TRUTH)
     assert np.sqrt(np.mean(off**2)) < 0.05
 
 
-def test_low_bands_and_other_layers_learn_apart() -> None:
-    """Other layers learn the same, bit by bit, with low bands and without."""
-    generators = [np.random.default_rng(3) for _ in range(2)]
-    plain = NeuralBSSRDF(replace(SETTINGS, low_width=0), output_scale=0.7, interior=glass_ball(1.4))
-    both = NeuralBSSRDF(SETTINGS, output_scale=0.7, interior=glass_ball(1.4))
-    before = copy.deepcopy(both.low)
-    for made, generator in zip((plain, both), generators, strict=True):
-        learner = Learner(made, LearningSettings(bfloat16=False))
-        for step in range(3):
-            rows = batch(32, 6, generator)
-            learner.learn(Rows(rows, exits=True), rows, step / 3, generator)
+def test_a_fit_is_repeated_by_its_seed_on_any_number_of_threads() -> None:
+    traced, learning = queries(100, 4, np.random.default_rng(3)), LearningSettings(low_batch=16)
+    weights = []
+    for seed, threads in ((0, 0), (0, 3), (1, 0)):
+        made = network()
+        fit_low_bands(made, traced, learning, seed, threads, steps=9)
+        assert made.low is not None
+        weights.append(made.low.output.weight)
+    assert torch.equal(weights[0], weights[1])
+    assert not torch.equal(weights[0], weights[2])
+
+
+def test_a_fit_ends_after_eight_passes_or_with_the_time() -> None:
+    traced, shares = queries(100, 4, np.random.default_rng(4)), list[float]()
+    fit_low_bands(network(), traced, LearningSettings(low_batch=32), 0, 0, follow=shares.append)
+    assert len(shares) == 8 * 3
+    shares.clear()
+    fit_low_bands(network(), traced, LearningSettings(low_batch=32), 0, 0, seconds=1e-9, follow=shares.append)
+    assert not shares
+    fit_low_bands(network(), traced, LearningSettings(low_batch=1000), 0, 0, follow=shares.append)
+    assert len(shares) == 8
+
+
+def test_a_fit_that_is_ended_early_keeps_its_average() -> None:
+    made, traced = network(), queries(100, 4, np.random.default_rng(5))
+    assert made.low is not None
+    before = made.low.output.weight.detach().clone()
+
+    def end(share: float) -> None:
+        if share > 0.5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit_low_bands(made, traced, LearningSettings(low_batch=16), 0, 1, steps=20, follow=end)
+    assert made.low is not None
+    assert not torch.equal(made.low.output.weight, before)
+    assert made.low.output.weight.isfinite().all()
+
+
+@pytest.mark.parametrize(("count", "batch"), [(10, 3), (9, 3), (4, 4)])
+def test_every_pass_has_each_query_once_but_for_an_incomplete_batch(count: int, batch: int) -> None:
+    in_a_pass = count // batch
+    found = [some.numpy() for some in itertools.islice(orders(count, batch, 0), 6 * in_a_pass)]
+    passes = [np.concatenate(found[n : n + in_a_pass]) for n in range(0, len(found), in_a_pass)]
+    for order in passes:
+        assert len(np.unique(order)) == len(order) == in_a_pass * batch
+    assert not np.array_equal(passes[0], passes[1])
+    assert set(np.concatenate(passes)) == set(range(count))
+
+
+def test_other_layers_learn_the_same_with_low_bands_and_without(scene: Scene) -> None:
+    both = trained(scene, 4, synchronous=True)
+    plain = trained(scene, 4, replace(SMALL, low_width=0), synchronous=True)
     for name, weights in plain.named_parameters():
         assert torch.equal(weights, both.get_parameter(name)), name
-    assert both.low is not None
-    assert before is not None
-    for first, last in zip(before.parameters(), both.low.parameters(), strict=True):
-        assert not torch.equal(first, last)
+    assert plain.low is None
 
 
-def test_a_learner_with_low_bands_continues_bit_by_bit() -> None:
-    def steps(learner: Learner, generator: np.random.Generator, count: int) -> None:
-        for step in itertools.islice(itertools.count(learner.step), count):
-            rows = batch(32, 6, generator)
-            learner.learn(Rows(rows, exits=True), rows, step / 6, generator)
-
-    settings = LearningSettings(bfloat16=False, low_batch=16)
-    straight, first, second = (Learner(network(), settings) for _ in range(3))
-    steps(straight, np.random.default_rng(4), 6)
-    generator = np.random.default_rng(4)
-    steps(first, generator, 3)
-    second.restore(copy.deepcopy(first.state()))
-    steps(second, generator, 3)
-    for name, weights in straight.network.named_parameters():
-        assert torch.equal(weights, second.network.get_parameter(name)), name
+class Killed(Exception):
+    """Ends a run like a killed process."""
 
 
-@pytest.mark.parametrize("better", ["low bands", "other layers"])
-def test_low_bands_stay_only_if_they_are_better(better: str) -> None:
-    def error(made: NeuralBSSRDF) -> float:
-        return 0.2 if (made.low is not None) == (better == "low bands") else 0.3
+@pytest.mark.parametrize("name", ["learning", "low bands"])
+def test_a_killed_run_resumes_to_the_same_low_bands(scene: Scene, tmp_path: Path, name: str) -> None:
+    """Of all queries, those before it was killed included."""
+    settings: dict[str, Any] = {
+        "synchronous": True,
+        "learning": replace(QUICK, checkpoint_every=0.0, report_every=0.0),
+    }
+    stream = replace(STREAM, queries_a_batch=100)
 
-    run: Any = SimpleNamespace(reference=SimpleNamespace(relative_rmse=error))
-    found: Any = Run._with_useful_bands(run, network())
-    assert (found.low is not None) == (better == "low bands")
+    def die(part: str, share: float) -> None:
+        if part == name == "low bands" and share > 0.5:
+            raise Killed
+
+    def die_learning(report: Any) -> None:
+        if name == "learning" and report.step == 12:
+            raise Killed
+
+    output = tmp_path / "m.pt"
+    with pytest.raises(Killed):
+        trained(scene, 20, output=output, part=die, progress=die_learning, stream=stream, **settings)
+    resumed = trained(scene, 20, output=output, resume=True, stream=stream, **settings)
+    straight = trained(scene, 20, stream=stream, **settings)
+    assert straight.low is not None
+    for key, weights in straight.named_parameters():
+        assert torch.equal(weights, resumed.get_parameter(key)), key
+
+
+@pytest.mark.parametrize("best", ["fitted", "earlier", "none"])
+def test_a_run_keeps_the_best(best: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fit(run: Any, made: Any, steps: int | None) -> None:
+        with torch.no_grad():
+            made.low.output.bias.fill_(2.0)
+
+    def kind(made: NeuralBSSRDF) -> str:
+        return "none" if made.low is None else "fitted" if made.low.output.bias[0].item() == 2.0 else "earlier"
+
+    monkeypatch.setattr(Run, "_fit_low_bands", fit)
+    run: Any = object.__new__(Run)
+    run.low, run.stopped = network().low, False
+    run.reference = SimpleNamespace(relative_rmse=lambda made: 0.1 if kind(made) == best else 0.2)
     plain = network(replace(SETTINGS, low_width=0))
-    assert Run._with_useful_bands(run, plain) is plain
+    found = run._with_low_bands(plain, None)
+    assert kind(found) == best
+    assert found.settings.low_width == (0 if best == "none" else 10)
+    run.low = None
+    assert run._with_low_bands(plain, None) is plain
+
+
+def test_low_bands_that_are_not_finite_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    run: Any = object.__new__(Run)
+    run.low, run.stopped = network().low, True
+    run.reference = SimpleNamespace(relative_rmse=lambda made: 0.5 if made.low is None else float("nan"))
+    run.source = SimpleNamespace(traced=None)
+    assert run._with_low_bands(network(replace(SETTINGS, low_width=0)), None).low is None
+
+
+def test_a_run_by_time_leaves_time_for_low_bands(scene: Scene) -> None:
+    parts: dict[str, list[float]] = {}
+
+    def part(name: str, share: float) -> None:
+        parts.setdefault(name, []).append(share)
+
+    made = trained(scene, None, minutes=0.1, part=part)
+    assert made.metadata["training"]["steps"] > 0
+    assert len(parts["low bands"]) > 1
+    assert parts["low bands"] == sorted(parts["low bands"])
+
+
+def test_only_low_bands_change_if_that_is_requested(scene: Scene, tmp_path: Path) -> None:
+    start, output = trained(scene, 4, synchronous=True), tmp_path / "m.pt"
+    made = trained(scene, 40, start=start, only_low_bands=True, synchronous=True, output=output)
+    for name, weights in other_layers(start).items():
+        assert torch.equal(weights, made.get_parameter(name)), name
+    assert made.low is not None
+    stream = made.metadata["training"]["stream"]
+    assert stream["least_exits"] == stream["exits"] == STREAM.exits
+    with pytest.raises(ModelError, match="began with only low bands True, requested is False"):
+        trained(scene, 80, start=start, synchronous=True, output=output, resume=True)
+
+
+def test_only_low_bands_needs_some_to_learn(scene: Scene, tmp_path: Path) -> None:
+    start = trained(scene, 1, synchronous=True)
+    requests: list[tuple[Scene, dict[str, Any], str]] = [
+        (scene, {}, "only_low_bands: needs start"),
+        (scene, {"start": start, "samples": "samples.h5"}, "train without samples"),
+        (scene, {"start": start, "stream": replace(STREAM, rays="values")}, "low bands learn from exits of paths"),
+        (make_scene(tmp_path), {"start": start}, "its networks have no low bands"),
+    ]
+    for some, arguments, fault in requests:
+        with pytest.raises(QueryError, match=fault):
+            trained(some, 2, only_low_bands=True, **arguments)

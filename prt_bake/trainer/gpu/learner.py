@@ -15,10 +15,10 @@ from prt_bake.network.features.view_features import ViewEncoding
 from prt_bake.network.features.view_path import known_paths
 from prt_bake.tracer.gpu.device_functions import cuda
 from prt_bake.trainer.gpu.renderer import GpuBatch
-from prt_bake.trainer.learner import Learner, LearningSettings, learning_rate
+from prt_bake.trainer.learner import Learner, LearningSettings, learning_rate, share_of_average
 from prt_bake.trainer.samples.rows import OUTGOING, POSITION, Batch, RowSource, rays_of
 
-GPU_LEARNING = LearningSettings(spread=24, coarse_steps=0, low_batch=512)
+GPU_LEARNING = LearningSettings(spread=24, coarse_steps=0, low_batch=2048)
 """Settings for a GPU, where more directions take hardly any time. Larger batches take less time, but on the same rows
 they learn much less (`docs/measurements/training.md`)."""
 _WARM_UP = 3
@@ -71,7 +71,7 @@ class GpuLearner(Learner):
         self._set_rate(learning_rate(self.settings, share))
         self._generator.manual_seed(int(generator.integers(2**62)))
         self._turns.uniform_(generator=self._generator)
-        self._average_share.fill_(self._share_of_average(self.step + 1))
+        self._average_share.fill_(share_of_average(self.settings, self.step + 1))
         if not self._recordable:
             self._step()
         elif self._graph is None and self._steps_here < _WARM_UP:
@@ -131,20 +131,19 @@ class GpuLearner(Learner):
             encoding = view.encode(rows[:, POSITION], rows[:, OUTGOING], self._batch.normals, path)
         losses = self._losses_of_exits(rows, rays_of(rows), self._uniform(), encoding)
         loss = losses.mean()
-        self._descend(loss, self._own_optimizers)
-        if self._low is not None:
-            self._learn_low(rows, encoding)
+        self._descend(loss)
         self._loss.copy_(loss.detach())
         faulty = torch.where(losses.detach().isfinite(), _NONE, self._batch.numbers).max()
         self._faulty.copy_(torch.maximum(self._faulty, faulty))
         if self.settings.average:
             self._average(self._average_share)
 
-    def _descend(self, loss: Tensor, optimizers: list[torch.optim.Optimizer]) -> None:
-        for optimizer in optimizers:
+    def _descend(self, loss: Tensor) -> None:
+        """As `descend`, without gradients that are not finite."""
+        for optimizer in self.optimizers:
             optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
-        for optimizer in optimizers:
+        for optimizer in self.optimizers:
             for group in optimizer.param_groups:
                 for weights in group["params"]:
                     if weights.grad is not None:

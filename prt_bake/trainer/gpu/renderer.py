@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from formats.scene import Scene
+from prt_bake.network.low_bands import low_harmonics
 from prt_bake.tracer.gpu.device_functions import SIMULATED
 from prt_bake.tracer.gpu.exits import Exits, on_gpu
 from prt_bake.tracer.prepared import KernelQueries, PreparedScene
@@ -23,6 +24,7 @@ from prt_bake.trainer.gpu.resampling import kernel_array, resampled
 from prt_bake.trainer.samples.queries import QuerySource
 from prt_bake.trainer.samples.resampling import resampling_offsets
 from prt_bake.trainer.samples.rows import Box, SourceStatistics, StreamSettings, query_description
+from prt_bake.trainer.samples.traced import TracedQueries
 
 Array = NDArray[np.float64]
 
@@ -81,6 +83,7 @@ class GpuRenderer:
         """
         begun = state or {"next_query": 0, "walks": 0, "rows": 0}
         self._next_query, self._walks, self._rows = begun["next_query"], begun["walks"], begun["rows"]
+        self.traced: TracedQueries | None = TracedQueries()
         self._prepared, self._box, self._settings, self._seed, self._normals = prepared, box, settings, seed, normals
         self._paths = paths
         self._source = QuerySource(prepared, 1, seed, settings.face_share, settings.edge_share)
@@ -143,6 +146,9 @@ class GpuRenderer:
         first_path = kernel_array(torch.zeros(self._size, dtype=torch.int64, device=_device()))
         self._scene.draw(queries, first_path, self._seed, exits)
         light = torch.where(self._scattered[..., None] == 0, 0.0, self._throughput)
+        coefficients = low_harmonics(self._directions).transpose(1, 2) @ light / self._settings.exits
+        assert self.traced is not None
+        self.traced.add(placed.first, rows, coefficients.flatten(1))
         rays = torch.cat(self._kept(light, placed.offsets), dim=-1).flatten(1)
         self._next_query = placed.first + self._size
         self._walks += self._size * self._settings.exits

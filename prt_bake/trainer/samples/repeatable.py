@@ -57,7 +57,7 @@ class AlternatingRenderer:
         self, tracer: RowTracer, settings: StreamSettings, threads: int, seed: int, state: dict[str, int] | None = None
     ) -> None:
         """Trace with `threads` threads, which do not affect the result; continue from `state` if given."""
-        self.exits = tracer.exits
+        self.exits, self.traced = tracer.exits, tracer.traced
         self._tracer, self._settings, self._threads = tracer, settings, threads
         self._walking = 0.0
         self._blocks = 0 if state is None else state["blocks"]

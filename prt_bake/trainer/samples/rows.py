@@ -11,7 +11,7 @@ variance (`tests/bench/noise_of_a_walk.py`). If the boundary does not bend light
 """
 
 from dataclasses import dataclass, fields
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,9 @@ from prt_bake.mathematics.moments import SUMS, from_sums
 from prt_bake.tracer.light_samples import Exits
 from prt_bake.tracer.prepared import PreparedScene, is_unrefracted, smooth_part
 from prt_bake.trainer.samples.queries import EDGE_SHARE, Queries, QuerySource
+
+if TYPE_CHECKING:
+    from prt_bake.trainer.samples.traced import TracedQueries
 
 Array = NDArray[np.float64]
 
@@ -105,6 +108,8 @@ class RowSource(Protocol):
 
     exits: bool
     """Whether rays are exits of walks instead of values."""
+    traced: "TracedQueries | None"
+    """All queries so far, of sources of exits."""
 
     def draw(self, count: int, generator: np.random.Generator) -> Batch:
         """The next `count` rows; raises the error of a source that failed."""
@@ -140,6 +145,8 @@ class RowTracer(Protocol):
     walks_per_query: int
     """May be changed, down to `fewest_walks`."""
     fewest_walks: int
+    traced: "TracedQueries | None"
+    """All queries that were rendered, of tracers of exits."""
 
     def render(self, first: int, count: int) -> Batch:
         """The rows of queries first … first + count − 1."""
@@ -152,6 +159,7 @@ class ValueTracer:
     """Traces rows of values: Ŝ in D directions of incidence that share the query's walks."""
 
     exits = False
+    traced: "TracedQueries | None" = None
 
     def __init__(self, prepared: PreparedScene, box: Box, settings: StreamSettings, seed: int) -> None:
         """Queries and walks depend on the seed and the query's number alone."""
@@ -179,6 +187,9 @@ class ExitTracer:
 
     def __init__(self, prepared: PreparedScene, box: Box, settings: StreamSettings, seed: int) -> None:
         """Queries and walks depend on the seed and the query's number alone."""
+        from prt_bake.trainer.samples.traced import TracedQueries
+
+        self.traced: TracedQueries | None = TracedQueries()
         self.walks_per_query, self._kept = settings.exits, settings.kept
         self.fewest_walks = min(settings.least_exits, settings.exits)
         self._prepared, self._box, self._seed = prepared, box, seed
@@ -187,13 +198,18 @@ class ExitTracer:
     def render(self, first: int, count: int) -> Batch:
         """The rows of queries first … first + count − 1, with `kept` rays."""
         from prt_bake.trainer.samples.resampling import resampled
+        from prt_bake.trainer.samples.traced import mean_coefficients
 
         queries = self._source.draw(first, count)
         exits = trace_exits(self._prepared, self._source, queries, self.walks_per_query, self._seed)
         directions, throughput = exits.directions, np.where(exits.unscattered[..., None], 0.0, exits.throughput)
+        coefficients = mean_coefficients(directions, throughput)
         if self._kept != self.walks_per_query:
             directions, throughput = resampled(directions, throughput, self._kept, self._seed, queries.keys)
-        return build_batch(queries.keys, queries.positions, queries.outgoing, directions, throughput, self._box)
+        batch = build_batch(queries.keys, queries.positions, queries.outgoing, directions, throughput, self._box)
+        assert self.traced is not None
+        self.traced.add(first, batch.rows[:, :BEFORE_RAYS], coefficients)
+        return batch
 
     def describe(self, number: int) -> str:
         """A query's number, seed and face, for messages."""

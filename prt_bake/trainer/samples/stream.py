@@ -73,7 +73,7 @@ class BackgroundRenderer:
         `start` waits for `least` rows. `draw` waits for new rows once rows have been drawn `reuse` times on average.
         """
         begun = state or {"next_query": 0, "walks": 0, "rows": 0}
-        self.exits = tracer.exits
+        self.exits, self.traced = tracer.exits, tracer.traced
         self._most_walks = tracer.walks_per_query
         tracer.walks_per_query = tracer.fewest_walks
         self.buffer = RingBuffer(settings.capacity)

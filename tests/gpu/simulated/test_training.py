@@ -89,9 +89,18 @@ def test_rows_are_those_of_the_processor_from_any_number_on(scene: Scene) -> Non
     renderer.start()
     parts = [renderer.draw(16, np.random.default_rng(0)) for _ in range(4)]
     renderer.stop()
-    expected = ExitTracer(prepared, box, STREAM, 4).render(64, 64)
+    tracer = ExitTracer(prepared, box, STREAM, 4)
+    expected = tracer.render(64, 64)
     assert_allclose(np.concatenate([numpy_of(part.rows) for part in parts]), expected.rows, atol=2e-5)
     assert_array_equal(np.concatenate([numpy_of(part.numbers) for part in parts]), expected.numbers)
+    assert renderer.traced is not None
+    assert tracer.traced is not None
+    there, here = renderer.traced.joined(), tracer.traced.joined()
+    assert there is not None
+    assert here is not None
+    found = numpy_of(there.coefficients(slice(0, 64)))
+    assert_allclose(found, numpy_of(here.coefficients(slice(None))), atol=1e-3)
+    assert_allclose(numpy_of(there.views)[:64], expected.rows[:, :6], atol=2e-5)
     assert renderer.state() == {"next_query": 128, "walks": 5 + 64 * 3, "rows": 6 + 64}
     positions = network.box_min + network.box_side * parts[0].rows[:, POSITION].double()
     normals = network.mesh_normals(positions, parts[0].rows[:, OUTGOING])

@@ -1,0 +1,113 @@
+"""Fits the low bands of a network to all queries that its training has traced, in several passes.
+
+A query gives an unbiased estimate of its a_lm: the mean of T · Y_lm over the exits of all its walks. Tracing it takes
+longer than learning from it, so each is used several times. All queries are used equally often while the rate falls,
+which needs all of them to be known before: passes over those of a moving window learn much less
+(`docs/measurements/training.md`).
+"""
+
+import copy
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from prt_bake.network.bssrdf import NeuralBSSRDF
+from prt_bake.trainer.learner import (
+    Learner,
+    LearningSettings,
+    descend,
+    learning_rate,
+    move_average,
+    optimizers_of,
+    share_of_average,
+)
+from prt_bake.trainer.objective import low_loss
+from prt_bake.trainer.prefetch import in_advance
+from prt_bake.trainer.samples.rows import OUTGOING, POSITION, Batch, RowSource
+from prt_bake.trainer.samples.traced import Traced
+
+SHARE_OF_TIME = 0.3
+"""Of the time of learning, in runs that end by time."""
+STEPS_A_STEP = 4
+"""Steps for each step of the other layers, in runs that end by steps."""
+_MOST_PASSES = 8
+_DECAY = 0.15
+"""Weight decay: queries that are used often would be learned by heart."""
+_ORDER_STREAM = 0x10B
+
+
+def fit_low_bands(
+    network: NeuralBSSRDF,
+    queries: Traced,
+    settings: LearningSettings,
+    seed: int,
+    threads: int,
+    *,
+    steps: int | None = None,
+    seconds: float = math.inf,
+    follow: Callable[[float], None] = lambda share: None,
+) -> None:
+    """Fit the low bands of `network`, from the weights that they have, in `steps` or for `seconds`.
+
+    They become the running average of the fitted weights, also if `follow`, which is called with the share that is
+    over, ends the fit by an exception. seed: of the order of the queries; threads: that encode views.
+    """
+    assert network.low is not None
+    low, average = network.low, copy.deepcopy(network.low)
+    settings = replace(settings, decay=_DECAY, batch=min(settings.low_batch, len(queries.views)))
+    optimizers = optimizers_of(list(low.parameters()), low, settings)
+    most = _MOST_PASSES * (len(queries.views) // settings.batch) if steps is None else steps
+
+    def prepared(chosen: Tensor) -> tuple[Tensor, Tensor, Any, Tensor]:
+        views = queries.views[chosen].to(network.box_min.device)
+        positions = network.box_min + network.box_side * views[:, POSITION].double()
+        encoding = network.encode_views(positions, views[:, OUTGOING])
+        return positions, views[:, OUTGOING], encoding, queries.coefficients(chosen).to(views.device)
+
+    batches = in_advance(prepared, orders(len(queries.views), settings.batch, seed), threads)
+    step, begun = 0, time.perf_counter()
+    try:
+        while (share := max(step / most, (time.perf_counter() - begun) / seconds)) < 1.0:
+            for group in (group for optimizer in optimizers for group in optimizer.param_groups):
+                group["lr"] = learning_rate(settings, share)
+            positions, outgoing, encoding, estimates = next(batches)
+            with torch.no_grad():
+                features = network.view_features(positions, outgoing, encoding)
+            descend(low_loss(low(features), estimates / network.output_scale).mean(), optimizers)
+            step += 1
+            move_average(average, low, share_of_average(settings, step))
+            follow(share)
+    finally:
+        batches.close()
+        network.low = average
+
+
+def orders(count: int, batch: int, seed: int) -> Iterator[Tensor]:
+    """Batches of the numbers 0 … count − 1 in endless passes, each in another order and without an incomplete batch."""
+    number = 0
+    while True:
+        order = torch.from_numpy(np.random.default_rng((_ORDER_STREAM, seed, number)).permutation(count))
+        for first in range(0, count - batch + 1, batch):
+            yield order[first : first + batch]
+        number += 1
+
+
+class OnlyLowBands(Learner):
+    """Leaves all other layers as they are, so that the time goes to the paths from which low bands are fitted."""
+
+    def encode_views(self, batch: Batch) -> Any:
+        """None: no layer sees the rows."""
+        return None
+
+    def learn(
+        self, source: RowSource, batch: Batch, share: float, generator: np.random.Generator, encoding: Any = None
+    ) -> float:
+        """Count a step."""
+        self.step += 1
+        return 0.0
