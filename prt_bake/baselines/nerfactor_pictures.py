@@ -23,7 +23,7 @@ from prt_bake.network.bssrdf import save_model
 from prt_bake.network.checkpoint import refuse_other_suffix
 from prt_bake.trainer.budget import Budget
 from prt_bake.trainer.fit import metadata_of
-from prt_bake.trainer.learner import LearningSettings
+from prt_bake.trainer.learning.learner import LearningSettings
 from prt_bake.trainer.run import Part, Progress
 from prt_bake.trainer.training_data import PathTracedData, stream_for
 

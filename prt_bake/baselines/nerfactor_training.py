@@ -21,7 +21,7 @@ from prt_bake.network.bssrdf import save_model
 from prt_bake.network.model import TrainableModel
 from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.fit import metadata_of
-from prt_bake.trainer.learner import Learner, LearningSettings
+from prt_bake.trainer.learning.learner import Learner, LearningSettings
 from prt_bake.trainer.samples.queries import QuerySource
 from prt_bake.trainer.samples.rows import StreamSettings
 from prt_bake.trainer.train import train_model

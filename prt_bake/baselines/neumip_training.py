@@ -20,7 +20,7 @@ from prt_bake.baselines.unwrapping import texture_coordinates
 from prt_bake.network.model import TrainableModel
 from prt_bake.tracer.prepared import smooth_part
 from prt_bake.trainer.fit import metadata_of
-from prt_bake.trainer.learner import Learner, LearningSettings, share_of_average
+from prt_bake.trainer.learning.learner import Learner, LearningSettings, share_of_average
 from prt_bake.trainer.samples.rows import CHANNELS, INCIDENT, Batch, RowSource, StreamSettings, rays_of
 from prt_bake.trainer.train import train_model
 from prt_bake.trainer.training_data import TrainingData

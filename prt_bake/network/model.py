@@ -61,7 +61,7 @@ class Model(nn.Module):
 
 
 class TrainableModel(Model):
-    """A model that `prt_bake.trainer.learner` fits."""
+    """A model that `prt_bake.trainer.learning.learner` fits."""
 
     @abstractmethod
     def encode_views(self, positions: Tensor, outgoing: Tensor) -> Any:

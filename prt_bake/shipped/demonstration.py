@@ -24,7 +24,7 @@ from prt_bake.geometry import camera
 from prt_bake.lights.environment import read_environment
 from prt_bake.network.bssrdf import load_model
 from prt_bake.shading.picture import Picture, render_picture
-from prt_bake.trainer.precision import bfloat16_is_faster
+from prt_bake.trainer.learning.precision import bfloat16_is_faster
 
 SHIPPED = Path(str(resources.files("prt_bake.shipped")))
 MODEL, MESH, SKY = SHIPPED / "spot.pt", SHIPPED / "spot.obj", SHIPPED / "sky.hdr"

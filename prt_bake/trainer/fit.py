@@ -15,8 +15,8 @@ from prt_bake.network.starting_weights import refuse_other_layers, start_from
 from prt_bake.tracer.prepared import interface_kind, is_unrefracted
 from prt_bake.tracer.surface.interface import ROUGH
 from prt_bake.trainer.interior import interior_of, is_clear, with_fitting_grid
-from prt_bake.trainer.learner import Learner, LearningSettings
-from prt_bake.trainer.low_bands import OnlyLowBands
+from prt_bake.trainer.learning.learner import Learner, LearningSettings
+from prt_bake.trainer.learning.low_bands import OnlyLowBands
 from prt_bake.trainer.training_data import TrainingData, box_of
 
 

@@ -19,7 +19,7 @@ from prt_bake.mathematics.random import uniforms
 from prt_bake.network.model import TrainableModel
 from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.cores import alternating_threads
-from prt_bake.trainer.learner import LearningSettings
+from prt_bake.trainer.learning.learner import LearningSettings
 from prt_bake.trainer.references import Follow
 from prt_bake.trainer.samples.queries import Queries
 from prt_bake.trainer.samples.repeatable import ShuffledRows

@@ -19,9 +19,9 @@ from prt_bake.trainer.budget import Budget
 from prt_bake.trainer.cores import available_cores
 from prt_bake.trainer.fit import Fit
 from prt_bake.trainer.history import Meter, TrainingProgress, every_tenth
-from prt_bake.trainer.learner import LearningSettings
-from prt_bake.trainer.low_bands import SHARE_OF_TIME, STEPS_A_STEP, fit_low_bands
-from prt_bake.trainer.prefetch import Prefetcher
+from prt_bake.trainer.learning.learner import LearningSettings
+from prt_bake.trainer.learning.low_bands import SHARE_OF_TIME, STEPS_A_STEP, fit_low_bands
+from prt_bake.trainer.learning.prefetch import Prefetcher
 from prt_bake.trainer.resume import read_state, write_state
 from prt_bake.trainer.samples.rows import RowSource
 from prt_bake.trainer.training_data import TrainingData

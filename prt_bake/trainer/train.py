@@ -21,7 +21,7 @@ from prt_bake.trainer.budget import Budget
 from prt_bake.trainer.cores import select_device, walking_device
 from prt_bake.trainer.fit import Fit, NetworkFit
 from prt_bake.trainer.history import TrainingProgress
-from prt_bake.trainer.learner import LearningSettings
+from prt_bake.trainer.learning.learner import LearningSettings
 from prt_bake.trainer.offline import SampleFileData
 from prt_bake.trainer.resume import require_state, seconds_of
 from prt_bake.trainer.run import Part, Progress, Run

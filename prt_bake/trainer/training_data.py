@@ -8,7 +8,7 @@ from formats.scene import Scene
 from prt_bake.network.model import TrainableModel
 from prt_bake.tracer.prepared import PreparedScene, prepare
 from prt_bake.trainer.cores import alternating_threads, available_cores, concurrent_threads
-from prt_bake.trainer.learner import LearningSettings, continued
+from prt_bake.trainer.learning.learner import LearningSettings, continued
 from prt_bake.trainer.references import Follow
 from prt_bake.trainer.samples.repeatable import AlternatingRenderer
 from prt_bake.trainer.samples.rows import Box, RowSource, RowTracer, StreamSettings, row_tracer

@@ -21,8 +21,8 @@ from prt_bake.network.starting_weights import start_from
 from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.fit import settings_for
 from prt_bake.trainer.interior import interior_of, with_fitting_grid
-from prt_bake.trainer.learner import Learner, LearningSettings, continued
-from prt_bake.trainer.low_bands import fit_low_bands
+from prt_bake.trainer.learning.learner import Learner, LearningSettings, continued
+from prt_bake.trainer.learning.low_bands import fit_low_bands
 from prt_bake.trainer.samples.rows import Batch, ExitTracer, StreamSettings
 from prt_bake.trainer.samples.traced import Traced
 from prt_bake.trainer.training_data import box_of

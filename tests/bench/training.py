@@ -22,7 +22,7 @@ from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF, save
 from prt_bake.shipped.demonstration import SHIPPED
 from prt_bake.tracer.estimate import estimate_coefficients
 from prt_bake.tracer.prepared import prepare, smooth_part
-from prt_bake.trainer.learner import LearningSettings
+from prt_bake.trainer.learning.learner import LearningSettings
 from prt_bake.trainer.report.evaluation import vertex_views
 from prt_bake.trainer.samples.rows import StreamSettings
 from prt_bake.trainer.train import train

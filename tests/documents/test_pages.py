@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from prt_bake.trainer.learner import LearningSettings
+from prt_bake.trainer.learning.learner import LearningSettings
 from prt_bake.trainer.report.picture import FLIP
 from prt_bake.trainer.report.quality import LEVELS
 from prt_bake.trainer.report.summary import COEFFICIENTS, COEFFICIENTS_PLAIN, WHITE_SKY

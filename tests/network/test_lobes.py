@@ -17,8 +17,8 @@ from prt_bake.network.features.view_features import ViewFeatures
 from prt_bake.network.inference.pairs import PairNetwork
 from prt_bake.network.lobes import LOBE_PARAMETERS, decode_lobes, evaluate_lobes, mean_square
 from prt_bake.network.settings import EXIT_INPUTS, NetworkSettings
-from prt_bake.trainer.learner import Learner
-from prt_bake.trainer.objective import LobeTerms, exit_loss
+from prt_bake.trainer.learning.learner import Learner
+from prt_bake.trainer.learning.objective import LobeTerms, exit_loss
 from prt_bake.trainer.samples.rows import Batch
 from prt_bake.trainer.train import train
 from tests.network import WITHOUT_MESH

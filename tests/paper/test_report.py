@@ -26,7 +26,7 @@ from prt_bake.paper.scenes import SCENES, BakeSettings
 from prt_bake.paper.settings import ReportSettings
 from prt_bake.paper.times import power_law
 from prt_bake.shipped.demonstration import SHIPPED
-from prt_bake.trainer.learner import LearningSettings
+from prt_bake.trainer.learning.learner import LearningSettings
 from prt_bake.trainer.samples.rows import StreamSettings
 from tests import ROOT
 from tests.cli.command_line import Run

@@ -8,7 +8,7 @@ import pytest
 from prt_bake.mathematics import sh
 from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.tracer.prepared import prepare
-from prt_bake.trainer.learner import Learner
+from prt_bake.trainer.learning.learner import Learner
 from prt_bake.trainer.samples.rows import CHANNELS, INCIDENT, ExitTracer, StreamSettings
 from prt_bake.trainer.training_data import PathTracedData, box_of
 from prt_bake.trainer.validation import hold_out_coefficients, network_coefficients, noise_free_ratio

@@ -15,7 +15,7 @@ from prt_bake.network.features.view_features import ViewEncoding
 from prt_bake.network.features.view_path import known_paths
 from prt_bake.tracer.gpu.device_functions import cuda
 from prt_bake.trainer.gpu.renderer import GpuBatch
-from prt_bake.trainer.learner import Learner, LearningSettings, learning_rate, share_of_average
+from prt_bake.trainer.learning.learner import Learner, LearningSettings, learning_rate, share_of_average
 from prt_bake.trainer.samples.rows import OUTGOING, POSITION, Batch, RowSource, rays_of
 
 GPU_LEARNING = LearningSettings(spread=24, coarse_steps=0, low_batch=2048)

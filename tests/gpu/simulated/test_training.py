@@ -19,7 +19,7 @@ from prt_bake.trainer.gpu.learner import GPU_LEARNING, GpuLearner
 from prt_bake.trainer.gpu.renderer import GpuBatch, GpuRenderer
 from prt_bake.trainer.gpu.resampling import resampled
 from prt_bake.trainer.interior import interior_of, with_fitting_grid
-from prt_bake.trainer.learner import Learner, LearningSettings
+from prt_bake.trainer.learning.learner import Learner, LearningSettings
 from prt_bake.trainer.samples.resampling import resample_rows
 from prt_bake.trainer.samples.rows import OUTGOING, POSITION, Batch, ExitTracer, StreamSettings
 from prt_bake.trainer.training_data import box_of
@@ -147,7 +147,7 @@ def test_steps_are_those_of_the_processor(scene: Scene, monkeypatch: pytest.Monk
     learners[1]._turns.uniform_()
     lattice = learners[1]._uniform()
     monkeypatch.setattr(learners[1], "_uniform", lambda: lattice)
-    monkeypatch.setattr("prt_bake.trainer.learner.rotated_lattice", lambda *_: numpy_of(lattice))
+    monkeypatch.setattr("prt_bake.trainer.learning.learner.rotated_lattice", lambda *_: numpy_of(lattice))
     generator = np.random.default_rng(0)
     for share in np.linspace(0.1, 0.9, 8):
         for learner, batch in zip(learners, (here, there), strict=True):

@@ -8,8 +8,8 @@ import torch
 from numpy.testing import assert_allclose
 
 from formats.errors import ModelError
-from prt_bake.trainer.learner import LearningSettings
-from prt_bake.trainer.muon import Muon, orthogonal
+from prt_bake.trainer.learning.learner import LearningSettings
+from prt_bake.trainer.learning.muon import Muon, orthogonal
 from tests.trainer.small_training import make_scene, train_small
 
 

@@ -10,7 +10,7 @@ import torch
 from formats.errors import QueryError
 from prt_bake.mathematics import sphere
 from prt_bake.network.bssrdf import NeuralBSSRDF
-from prt_bake.trainer.learner import (
+from prt_bake.trainer.learning.learner import (
     Learner,
     LearningSettings,
     every_third,
@@ -19,7 +19,7 @@ from prt_bake.trainer.learner import (
     rotated_lattice,
     share_of_average,
 )
-from prt_bake.trainer.objective import exit_loss, value_loss
+from prt_bake.trainer.learning.objective import exit_loss, value_loss
 from prt_bake.trainer.samples.rows import CHANNELS, INCIDENT, OUTGOING, POSITION, Batch, rays_of
 from tests.trainer.small_training import LEARNING, SMALL
 

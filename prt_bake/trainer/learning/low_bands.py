@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from prt_bake.network.bssrdf import NeuralBSSRDF
-from prt_bake.trainer.learner import (
+from prt_bake.trainer.learning.learner import (
     Learner,
     LearningSettings,
     descend,
@@ -27,8 +27,8 @@ from prt_bake.trainer.learner import (
     optimizers_of,
     share_of_average,
 )
-from prt_bake.trainer.objective import low_loss
-from prt_bake.trainer.prefetch import in_advance
+from prt_bake.trainer.learning.objective import low_loss
+from prt_bake.trainer.learning.prefetch import in_advance
 from prt_bake.trainer.samples.rows import OUTGOING, POSITION, Batch, RowSource
 from prt_bake.trainer.samples.traced import Traced
 

@@ -14,9 +14,9 @@ from formats.errors import ModelError, QueryError
 from formats.scene import Scene
 from prt_bake.mathematics import sh
 from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF
-from prt_bake.trainer.learner import LearningSettings
-from prt_bake.trainer.low_bands import fit_low_bands, orders
-from prt_bake.trainer.objective import low_loss
+from prt_bake.trainer.learning.learner import LearningSettings
+from prt_bake.trainer.learning.low_bands import fit_low_bands, orders
+from prt_bake.trainer.learning.objective import low_loss
 from prt_bake.trainer.run import Run
 from prt_bake.trainer.samples.rows import OUTGOING, POSITION
 from prt_bake.trainer.samples.traced import Traced, TracedQueries, mean_coefficients
@@ -24,13 +24,13 @@ from prt_bake.trainer.train import train
 from tests.network import WITHOUT_MESH
 from tests.network.test_lobes import glass_ball
 from tests.network.test_low_bands import SETTINGS, network
+from tests.trainer.learning.test_learner import ALBEDO, exits, nodes, sphere_mean, transport, uniform_directions
 from tests.trainer.small_training import LEARNING, STREAM, make_scene
-from tests.trainer.test_learner import ALBEDO, exits, nodes, sphere_mean, transport, uniform_directions
 
 pytestmark = WITHOUT_MESH
 SPHERE = 4.0 * np.pi
 TRUTH = SPHERE * sphere_mean(sh.evaluate(nodes(), 2)[:, :, None] * transport(nodes())[:, None])
-"""a_lm [9,3] of the transport of `tests.trainer.test_learner`."""
+"""a_lm [9,3] of the transport of `tests.trainer.learning.test_learner`."""
 SMALL = replace(PRESETS["measured"], features=12, width=16, ray_samples=4, grid_places=4, lobes=0, low_width=12)
 QUICK = replace(LEARNING, batch=64, low_batch=64, held_out_queries=16, held_out_walks=16)
 

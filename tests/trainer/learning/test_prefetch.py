@@ -9,14 +9,14 @@ import torch
 
 from formats.errors import QueryError
 from prt_bake.network.bssrdf import NeuralBSSRDF
-from prt_bake.trainer.learner import Learner
-from prt_bake.trainer.prefetch import Prefetcher
+from prt_bake.trainer.learning.learner import Learner
+from prt_bake.trainer.learning.prefetch import Prefetcher
 from prt_bake.trainer.samples.rows import CHANNELS, INCIDENT, OUTGOING, POSITION, Batch, SourceStatistics, rays_of
 from tests.network import WITHOUT_MESH
 from tests.network.test_feature_grid import GRIDDED
 from tests.network.test_lobes import glass_ball
+from tests.trainer.learning.test_learner import uniform_directions
 from tests.trainer.small_training import LEARNING, SMALL
-from tests.trainer.test_learner import uniform_directions
 
 pytestmark = WITHOUT_MESH
 

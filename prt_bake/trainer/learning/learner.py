@@ -16,9 +16,9 @@ from prt_bake.mathematics.directions import rotations
 from prt_bake.mathematics.sphere import fibonacci
 from prt_bake.network.lobes import Lobes, evaluate_lobes, mean_square
 from prt_bake.network.model import TrainableModel
-from prt_bake.trainer.muon import Muon
-from prt_bake.trainer.objective import LobeTerms, Loss, exit_loss, value_loss
-from prt_bake.trainer.precision import bfloat16_is_faster
+from prt_bake.trainer.learning.muon import Muon
+from prt_bake.trainer.learning.objective import LobeTerms, Loss, exit_loss, value_loss
+from prt_bake.trainer.learning.precision import bfloat16_is_faster
 from prt_bake.trainer.samples.rows import (
     BEFORE_RAYS,
     CHANNELS,

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from prt_bake.trainer.learner import Learner
+from prt_bake.trainer.learning.learner import Learner
 from prt_bake.trainer.samples.rows import Batch, RowSource
 
 _Item = TypeVar("_Item")
