@@ -25,7 +25,7 @@ from formats.errors import AssetError
 from formats.interrupts import deferred
 
 _FLOAT16_LIMIT = 65520.0  # the smallest number that float16 rounds to infinity
-_ROUNDING_LIMIT = 0.1  # largest error of rounding to float16, relative to the standard error
+_ROUNDING_LIMIT = 0.1  # largest error of rounding to float16, relative to the error of the coefficients
 
 
 class AssetWriter:
@@ -35,7 +35,8 @@ class AssetWriter:
     without `finish`, the temporary file is removed and an older file is unchanged.
 
     float16 changes to float32 if a coefficient exceeds 65504, or if the rounding error (root mean square over all
-    blocks so far) exceeds a tenth of the standard error. The blocks so far are then written again.
+    blocks so far) exceeds a tenth of the standard error and of the network's error, added as squares. The blocks so far
+    are then written again.
 
     Attributes:
         block_vertices: vertices in a chunk of the file; blocks aligned to its multiples are written fastest.
@@ -73,6 +74,7 @@ class AssetWriter:
         self.valid = np.zeros(self.shape[0], np.uint8)
         self._rounding_sum = 0.0
         self._error_sum = 0.0
+        self._network_error = 0.0 if head.network_error is None else head.network_error.value
         self._finished = False
         self._file: AssetFile | None = None
         self._stack = contextlib.ExitStack()
@@ -223,11 +225,13 @@ class AssetWriter:
         if largest >= _FLOAT16_LIMIT:
             return f"coefficients up to {largest:.4g} exceed 65504, the largest float16"
         rounding = values.astype(np.float16).astype(np.float32) - values
-        self._rounding_sum += float(np.square(rounding, dtype=np.float64).sum()) / math.prod(self.shape[2:])
+        size = math.prod(self.shape[2:])
+        self._rounding_sum += float(np.square(rounding, dtype=np.float64).sum()) / size
         self._error_sum += float(np.square(errors, dtype=np.float64).sum())
+        self._error_sum += self._network_error**2 * float(np.square(values, dtype=np.float64).sum()) / size
         if self._rounding_sum <= _ROUNDING_LIMIT**2 * self._error_sum:
             return ""
-        return "rounding to float16 would add more than a tenth of the standard error"
+        return "rounding to float16 would add more than a tenth of the error"
 
     def _widen(self, reason: str) -> None:
         """Change to float32: start a new file and copy the vertices written so far."""

@@ -9,7 +9,7 @@ from formats.atomic import replacing
 from formats.errors import ModelError
 from prt_bake.network.file_names import state_path
 
-_VERSION = 5
+_VERSION = 6
 
 
 def require_state(output: str | Path) -> Path:

@@ -47,6 +47,7 @@ class Run:
         model: Any = fit.model(self.reference.scale() or 1.0)
         self.low = getattr(model, "low", None)
         """The low bands before they are fitted, which the model lacks until then."""
+        self.low_seconds = 0.0
         if self.low is not None:
             model.set_low_bands(None)
         # The faster precision is measured by a clock, which must not decide the bits of a synchronous run.
@@ -201,18 +202,20 @@ class Run:
         if output is not None:  # the rest takes long and may be interrupted
             self.save(output)
         network = self._with_low_bands(self.learner.result(), steps)
+        seconds, walks = self.seconds + self.low_seconds, self.source.statistics().walks
+        errors = [[report.seconds, report.walks, report.validation] for report in every_tenth(self.history)]
+        if self.low_seconds > 0.0:
+            errors.append([seconds, walks, self.reference.relative_rmse(network)])
         training: dict[str, Any] = {
-            "seconds": self.seconds,
+            "seconds": seconds,
             "steps": self.learner.step,
-            "walks": self.source.statistics().walks,
+            "walks": walks,
             "seed": self.seed,
             "learning": asdict(self.learning),
             "precision": "bfloat16" if self.learner.bfloat16 else "float32",
             "device": _name_of(network.box_min.device),
             **self.data.description(),
-            "validation_vs_time": [
-                [report.seconds, report.walks, report.validation] for report in every_tenth(self.history)
-            ],
+            "validation_vs_time": errors,
             "validation_of": self.reference.quantity,
         }
         network.metadata["training"] = training
@@ -255,7 +258,7 @@ class Run:
             if self._stop():
                 raise KeyboardInterrupt
 
-        threads_before = torch.get_num_threads()
+        threads_before, begun = torch.get_num_threads(), time.perf_counter()
         torch.set_num_threads(self.data.learner_threads(self.learning, network.box_min.device.type))
         try:
             fit_low_bands(
@@ -270,6 +273,7 @@ class Run:
             )
         finally:
             torch.set_num_threads(threads_before)
+            self.low_seconds = time.perf_counter() - begun
 
     def _errors(self, network: TrainableModel) -> dict[str, Any]:
         """The final errors."""

@@ -31,6 +31,8 @@ from prt_bake.trainer.training_data import PathTracedData, TrainingData, learnin
 
 __all__ = ["LearningSettings", "TrainingProgress", "train"]
 
+_MANY_WALKS = 64
+"""Per query where only low bands are learned, so that there is time for several passes over all queries."""
 QUANTITIES = {"transport": "the transport function", "coefficients": "the coefficients a_lm over the surface"}
 """Names of the quantities that a validation error can measure."""
 
@@ -161,8 +163,8 @@ def train_model(
 ) -> TrainableModel:
     """`train` for any model: `make(data, device)` says what is fitted.
 
-    started: whether its weights are those of an earlier training. many_walks: whether each query has the most walks
-    that the renderer's settings allow, although the learner waits.
+    started: whether its weights are those of an earlier training. many_walks: whether each query has 64 walks or more,
+    although the learner waits.
     """
     refuse_path("scene", scene, "prt.load_scene")
     if minutes <= 0 or (steps is not None and steps < 1):
@@ -194,7 +196,9 @@ def train_model(
             values = stream is not None and stream.rays == "values"
             walking = walking_device(chosen, synchronous or values, report)
             renderer = stream or stream_for(walking, synchronous)
-            renderer = replace(renderer, least_exits=renderer.exits) if many_walks else renderer
+            if many_walks:
+                walks = max(renderer.exits, _MANY_WALKS)
+                renderer = replace(renderer, exits=walks, least_exits=walks)
             data = PathTracedData(scene, renderer, seed, synchronous, walking)
         run = Run(data, make(data, chosen), learning or learning_for(data, started), seed, timed, follow)
         if resume:

@@ -1,5 +1,6 @@
 """Assets: every valid one survives a round trip, the file has the documented layout, invalid data is refused."""
 
+import dataclasses
 import json
 
 import h5py
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 
 from formats.asset import Asset, AssetWriter, check_asset, read_asset, write_asset
 from formats.asset.error_covariance import ErrorCovariance, triangle
+from formats.asset.total_error import ErrorInterval
 from formats.errors import AssetError
 from formats.mesh import Mesh
 from prt_bake.mathematics.sphere import view_bins
@@ -260,6 +262,19 @@ def test_float32_replaces_float16_if_rounding_is_large(tmp_path):
         again = read_asset(tmp_path / "a.h5")
         assert (again.storage, bool(note)) == (storage, storage == "float32")
     np.testing.assert_array_equal(again.mesh.faces, asset.mesh.faces)
+
+
+@pytest.mark.parametrize(("share", "storage"), [(9.9, "float32"), (10.1, "float16")])
+def test_float16_is_kept_if_the_network_is_off_by_more(tmp_path, share, storage):
+    asset = make_asset()
+    rounding = asset.coefficients.astype(np.float16).astype(np.float64) - asset.coefficients
+    relative = np.sqrt(np.square(rounding).sum() / np.square(asset.coefficients, dtype=np.float64).sum())
+    asset = dataclasses.replace(asset, network_error=ErrorInterval(share * relative))
+    with AssetWriter(tmp_path / "a.h5", asset) as writer:
+        for rows in (slice(0, 2), slice(2, 5)):
+            writer.write_block(rows.start, asset.coefficients[rows], np.zeros((rows.stop - rows.start, 6)))
+        writer.finish({})
+    assert read_asset(tmp_path / "a.h5").storage == storage
 
 
 def test_blocks_of_wrong_shape_are_refused(tmp_path):

@@ -219,6 +219,8 @@ def test_a_run_by_time_leaves_time_for_low_bands(scene: Scene) -> None:
     assert made.metadata["training"]["steps"] > 0
     assert len(parts["low bands"]) > 1
     assert parts["low bands"] == sorted(parts["low bands"])
+    *_, before, last = made.metadata["training"]["validation_vs_time"]
+    assert before[0] < last[0] == made.metadata["training"]["seconds"]
 
 
 def test_only_low_bands_change_if_that_is_requested(scene: Scene, tmp_path: Path) -> None:
@@ -228,7 +230,7 @@ def test_only_low_bands_change_if_that_is_requested(scene: Scene, tmp_path: Path
         assert torch.equal(weights, made.get_parameter(name)), name
     assert made.low is not None
     stream = made.metadata["training"]["stream"]
-    assert stream["least_exits"] == stream["exits"] == STREAM.exits
+    assert stream["least_exits"] == stream["exits"] == 64
     with pytest.raises(ModelError, match="began with only low bands True, requested is False"):
         trained(scene, 80, start=start, synchronous=True, output=output, resume=True)
 

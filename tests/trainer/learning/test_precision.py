@@ -7,8 +7,8 @@ import torch
 
 from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.shipped import demonstration
-from prt_bake.trainer import learner as learning
-from prt_bake.trainer import precision
+from prt_bake.trainer.learning import learner as learning
+from prt_bake.trainer.learning import precision
 from prt_bake.trainer.learning.learner import Learner
 from tests.trainer.small_training import LEARNING, SMALL, make_scene, train_small
 
