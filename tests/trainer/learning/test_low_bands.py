@@ -114,6 +114,22 @@ def test_a_fit_ends_after_eight_passes_or_with_the_time() -> None:
     assert len(shares) == 8
 
 
+def test_weights_without_gradient_decay_as_for_several_passes() -> None:
+    """By a rate of their own, whatever that of the other layers is."""
+    made, traced = network(), TracedQueries()
+    assert made.low is not None
+    with torch.no_grad():
+        made.low.output.weight.zero_()
+    traced.add(0, queries(50, 1, np.random.default_rng(6)).views, np.zeros((50, 27)))
+    dark = traced.joined()
+    assert dark is not None
+    before = [weights.detach().clone() for weights in made.low.parameters()]
+    learning = LearningSettings(rate=0.1, schedule="constant", warm_up=0.0, decay=0.9)
+    fit_low_bands(made, dark, learning, 0, 0, steps=1)
+    for weights, earlier in zip(made.low.parameters(), before, strict=True):
+        torch.testing.assert_close(weights, earlier * (1.0 - 0.1 * 0.15))
+
+
 def test_a_fit_that_is_ended_early_keeps_its_average() -> None:
     made, traced = network(), queries(100, 4, np.random.default_rng(5))
     assert made.low is not None
