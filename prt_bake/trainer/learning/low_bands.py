@@ -38,7 +38,7 @@ STEPS_A_STEP = 4
 """Steps for each step of the other layers, in runs that end by steps."""
 _MOST_PASSES = 8
 _DECAY = 0.15
-"""Weight decay: queries that are used often would be learned by heart."""
+"""Weight decay, against overfitting to queries that are used often."""
 _ORDER_STREAM = 0x10B
 
 

@@ -226,18 +226,34 @@ def test_low_bands_that_are_not_finite_are_not_kept(monkeypatch: pytest.MonkeyPa
     assert run._with_low_bands(network(replace(SETTINGS, low_width=0)), None).low is None
 
 
-def test_a_run_by_time_leaves_time_for_low_bands(scene: Scene) -> None:
+def test_a_run_by_time_leaves_three_tenths_of_it_for_low_bands() -> None:
+    run: Any = object.__new__(Run)
+    run.budget = SimpleNamespace(learning=lambda learned: 100.0 - learned)
+    for low, traced, length in ((network().low, TracedQueries(), 76.0), (None, TracedQueries(), 100.0)):
+        run.low, run.source = low, SimpleNamespace(traced=traced)
+        run._set_length(20.0)
+        assert run.length == pytest.approx(length)
+    run.low, run.source = network().low, SimpleNamespace(traced=None)
+    run._set_length(20.0)
+    assert run.length == pytest.approx(100.0)
+
+
+def test_a_run_reports_the_fit_and_can_be_stopped_in_it(scene: Scene) -> None:
     parts: dict[str, list[float]] = {}
 
     def part(name: str, share: float) -> None:
         parts.setdefault(name, []).append(share)
 
-    made = trained(scene, None, minutes=0.1, part=part)
-    assert made.metadata["training"]["steps"] > 0
-    assert len(parts["low bands"]) > 1
-    assert parts["low bands"] == sorted(parts["low bands"])
-    *_, before, last = made.metadata["training"]["validation_vs_time"]
-    assert before[0] < last[0] == made.metadata["training"]["seconds"]
+    made = trained(scene, 3, synchronous=True, part=part)
+    np.testing.assert_allclose(parts["low bands"], np.arange(12) / 12)
+    history = made.metadata["training"]["validation_vs_time"]
+    assert len(history) == 2
+    stopped = trained(
+        scene, 3, synchronous=True, part=part, stop=lambda: "low bands" in parts and len(parts["low bands"]) >= 15
+    )
+    assert len(parts["low bands"]) == 15
+    assert stopped.metadata["training"]["stopped"]
+    assert "relative_rmse" not in stopped.metadata["training"]
 
 
 def test_only_low_bands_change_if_that_is_requested(scene: Scene, tmp_path: Path) -> None:
