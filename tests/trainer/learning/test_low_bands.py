@@ -13,7 +13,7 @@ import torch
 from formats.errors import ModelError, QueryError
 from formats.scene import Scene
 from prt_bake.mathematics import sh
-from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF
+from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF, load_model
 from prt_bake.trainer.learning.learner import LearningSettings
 from prt_bake.trainer.learning.low_bands import fit_low_bands, orders
 from prt_bake.trainer.learning.objective import low_loss
@@ -244,7 +244,7 @@ def test_a_run_reports_the_fit_and_can_be_stopped_in_it(scene: Scene) -> None:
     def part(name: str, share: float) -> None:
         parts.setdefault(name, []).append(share)
 
-    made = trained(scene, 3, synchronous=True, part=part)
+    made = trained(scene, 3, part=part)
     np.testing.assert_allclose(parts["low bands"], np.arange(12) / 12)
     history = made.metadata["training"]["validation_vs_time"]
     assert len(history) == 2
@@ -254,6 +254,19 @@ def test_a_run_reports_the_fit_and_can_be_stopped_in_it(scene: Scene) -> None:
     assert len(parts["low bands"]) == 15
     assert stopped.metadata["training"]["stopped"]
     assert "relative_rmse" not in stopped.metadata["training"]
+
+
+def test_a_run_that_is_stopped_before_has_no_low_bands(scene: Scene, tmp_path: Path) -> None:
+    parts, asked = list[str](), itertools.count()
+
+    def part(name: str, share: float) -> None:
+        parts.append(name)
+
+    stopped = trained(scene, 30, part=part, output=tmp_path / "m.pt", stop=lambda: next(asked) == 5)
+    assert "low bands" not in parts
+    for made in (stopped, load_model(tmp_path / "m.pt")):
+        assert isinstance(made, NeuralBSSRDF)
+        assert (made.low, made.settings.low_width) == (None, 0)
 
 
 def test_only_low_bands_change_if_that_is_requested(scene: Scene, tmp_path: Path) -> None:
