@@ -40,7 +40,7 @@ from prt_bake.network.features.interior import Interior
 from prt_bake.network.inference.fused import FusedNetwork
 from prt_bake.network.inference.prepared import prepared_for
 from prt_bake.network.lobes import LOBE_PARAMETERS
-from prt_bake.network.low_bands import low_shapes
+from prt_bake.network.low_bands import correction_inputs, low_shapes
 from prt_bake.network.model import NEURAL_BSSRDF, Model, model_of_kind
 from prt_bake.network.settings import PRESETS, NetworkSettings
 
@@ -232,7 +232,9 @@ def _check_size(settings: NetworkSettings, stored: int) -> None:
     """Refuse settings of a larger network than the `stored` numbers, before any memory is reserved for it."""
     if settings.layers <= stored:
         lobes = LOBE_PARAMETERS * settings.lobes * settings.width
-        shapes = (*settings.layer_shapes, *low_shapes(settings))
+        low = low_shapes(settings.view_inputs, settings.low_width)
+        correction = low_shapes(correction_inputs(settings), settings.correction_width)
+        shapes = (*settings.layer_shapes, *low, *correction)
         if lobes + sum(outputs * inputs for outputs, inputs in shapes) <= stored:
             return
     raise ModelError(f"its settings describe a larger network than its {stored} numbers; copy the file again")

@@ -3,11 +3,9 @@
 `NetworkCore` is all that `inference` needs to know of a network. `bssrdf.NeuralBSSRDF` adds the frozen forms to it.
 """
 
-import os
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import replace
-from functools import partial
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -24,20 +22,17 @@ from prt_bake.network.features.interior import Interior
 from prt_bake.network.features.view_features import ViewEncoding, ViewFeatures
 from prt_bake.network.features.view_path import Body, ViewPath, path_through
 from prt_bake.network.lobes import LOBE_PARAMETERS, Lobes, decode_lobes, evaluate_lobes
-from prt_bake.network.low_bands import LOW_DEGREE, LowBands, low_harmonics, low_radiance
+from prt_bake.network.low_bands import LOW_DEGREE, LowBands, correction_inputs, low_harmonics, low_radiance
 from prt_bake.network.model import NEURAL_BSSRDF, TrainableModel
 from prt_bake.network.queries import float64_tensor, queries, refuse_outside
 from prt_bake.network.settings import EXIT_INPUTS, NetworkSettings
+from prt_bake.network.shared_inputs import linear_of_parts
 from prt_bake.network.surface_check import OwnSurface
 
 ROWS_PER_BATCH = 8192
 _MAX_FLOAT32 = float(torch.finfo(torch.float32).max)
 _LOBE_WEIGHT_SPREAD = 0.02
 """Standard deviation of the initial weights of lobes: small, so that all lobes start nearly alike, but not equal."""
-
-if hasattr(os, "register_at_fork"):  # Windows has no fork
-    # torch waits for ever for its threads, which a forked process lacks.
-    os.register_at_fork(after_in_child=partial(torch.set_num_threads, 1))
 
 
 class NetworkCore(TrainableModel):
@@ -113,7 +108,9 @@ class NetworkCore(TrainableModel):
         lobes = self.settings.lobes
         self.lobes = nn.Linear(self.settings.width, LOBE_PARAMETERS * lobes) if lobes else None
         self._initialise(generator)
-        self.low = LowBands(self.settings, generator) if self.settings.low_width else None
+        width, corrected = self.settings.low_width, self.settings.correction_width
+        self.low = LowBands(self.settings.view_inputs, width, generator) if width else None
+        self.correction = LowBands(correction_inputs(self.settings), corrected, generator) if corrected else None
         self.surface: Surface | None = None
         """The object's mesh, which gives exact normals: see `on`."""
         self.path: ViewPath | None = None
@@ -169,35 +166,49 @@ class NetworkCore(TrainableModel):
     def components(
         self, incident: Tensor, positions: Tensor, outgoing: Tensor, encoding: ViewEncoding | None = None
     ) -> tuple[Tensor, Lobes | None]:
-        """The two terms of Ŝ over the output scale: the layers' output [N,D,3], and the lobes to add to it.
+        """The two terms of Ŝ over the output scale: the layers' output [N,D,3], corrected, and the lobes to add to it.
 
         `encoding` is the result of `encode_views` for the same views, if it is already known.
         """
-        lobes = None
-        dtype = self.output.weight.dtype
-        if self.settings.trunk:
+        lobes = correction = None
+        activations: list[Tensor] = []
+        trunk, dtype = self.settings.trunk, self.output.weight.dtype
+        if trunk:
             if encoding is None:
                 encoding = self.encode_views(positions, outgoing)
             features = self.view_features(positions, outgoing, encoding)
-            h = features[:, None]
+            activations = self.trunk_outputs(features[:, None].to(dtype))
+            h = activations[-1]
+            if self.lobes is not None:
+                lobes = decode_lobes(self.lobes(h)[:, 0], features[:, -EXIT_INPUTS:])
+            if self.correction is not None:
+                correction = self.correction(torch.cat((features, h[:, 0].float()), dim=-1))
             pairs = self.pair_features(incident, outgoing, None if encoding is None else encoding.frame)
             light = torch.cat((self.light_features(incident), pairs), dim=-1).to(dtype)
         else:
             shape = incident.shape
             u = self.inputs(incident, positions[:, None].expand(shape), outgoing[:, None].expand(shape))
-            h = self._fourier_features(u)
-        h = h.to(dtype)
-        activations: list[Tensor] = []
-        for number, layer in enumerate(self.hidden, start=1):
-            parts = [h, *(activations[source - 1] for source in self.settings.sources(number))]
-            if 0 < self.settings.trunk < number:
-                parts.append(light)
-            h = _linear_of_parts(layer, parts)
-            h = torch.relu(h) if self.settings.activation == "relu" else torch.nn.functional.silu(h)
+            h = self._fourier_features(u).to(dtype)
+        for number in range(trunk + 1, self.settings.layers + 1):
+            h = self._layer(number, h, activations, [light] if trunk else [])
             activations.append(h)
-            if self.lobes is not None and number == self.settings.trunk:
-                lobes = decode_lobes(self.lobes(h)[:, 0], features[:, -EXIT_INPUTS:])
-        return self.output(h), lobes
+        if correction is None:
+            return self.output(h), lobes
+        return self.output(h).float() + low_radiance(correction, low_harmonics(incident), LOW_DEGREE), lobes
+
+    def trunk_outputs(self, h: Tensor) -> list[Tensor]:
+        """Outputs [N,1,width] of the layers that do not see ωi, from the inputs [N,1,view_inputs] of the first."""
+        outputs: list[Tensor] = []
+        for number in range(1, self.settings.trunk + 1):
+            h = self._layer(number, h, outputs, [])
+            outputs.append(h)
+        return outputs
+
+    def _layer(self, number: int, h: Tensor, outputs: list[Tensor], more: list[Tensor]) -> Tensor:
+        """The output of hidden layer `number`, from that of the layer before, those of its skips, and more inputs."""
+        skips = (outputs[source - 1] for source in self.settings.sources(number))
+        h = linear_of_parts(self.hidden[number - 1], [h, *skips, *more])
+        return torch.relu(h) if self.settings.activation == "relu" else torch.nn.functional.silu(h)
 
     def low_coefficients(self, positions: Tensor, outgoing: Tensor, encoding: ViewEncoding | None = None) -> Tensor:
         """a_lm [N,9,3] to degree 2 over the output scale, of networks with low bands. encoding: as in `components`."""
@@ -276,8 +287,15 @@ class NetworkCore(TrainableModel):
 
     def set_low_bands(self, low: LowBands | None) -> None:
         """Take other low bands; without any, the coefficients to degree 2 are those of Ŝ."""
-        self.low = low
-        self.settings = replace(self.settings, low_width=0 if low is None else low.output.in_features)
+        self.low, self.correction = low, None
+        self.settings = replace(
+            self.settings, low_width=0 if low is None else low.output.in_features, correction_width=0
+        )
+
+    def set_correction(self, correction: LowBands) -> None:
+        """Take layers that correct the values."""
+        self.correction = correction
+        self.settings = replace(self.settings, correction_width=correction.output.in_features)
 
     def warn_without_mesh(self) -> None:
         """Warn, once per network, if normals are an input and no mesh gives them."""
@@ -379,22 +397,3 @@ class NetworkCore(TrainableModel):
         axes, sharpness, peaks = (torch.cat(part).double().cpu().numpy() for part in zip(*parts, strict=True))
         integrals = 2.0 * np.pi * -np.expm1(-2.0 * sharpness) / sharpness
         return axes, sharpness, peaks * self.output_scale * integrals[..., None]
-
-
-def _linear_of_parts(layer: Any, parts: list[Tensor]) -> Tensor:
-    """The linear layer of the concatenated parts, [N,1,·] or [N,D,·]; multiplies parts shared by the D once.
-
-    The other parts are multiplied one by one, since concatenating them takes longer.
-    """
-    if all(part.shape[1] == 1 for part in parts):
-        return torch.as_tensor(layer(torch.cat(parts, dim=-1)))
-    columns = layer.weight.split([part.shape[-1] for part in parts], dim=1)
-    shared = [(part, weights) for part, weights in zip(parts, columns, strict=True) if part.shape[1] == 1]
-    separate = [(part, weights) for part, weights in zip(parts, columns, strict=True) if part.shape[1] > 1]
-    total: Tensor = layer.bias
-    for part, weights in separate:
-        total = torch.addmm(total, part.flatten(0, 1), weights.T)
-    total = total.view(*separate[0][0].shape[:2], -1)
-    for part, weights in shared:
-        total = total + torch.nn.functional.linear(part, weights)
-    return total

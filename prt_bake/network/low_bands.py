@@ -5,6 +5,9 @@ mean of T · Y_lm(ω_exit) over the paths of a query is an unbiased estimate of 
 of each channel by least squares, without sampled directions.
 
 Few directions suffice to evaluate them: Ŝ up to degree 2 is Σ a_lm Y_lm(ωi).
+
+Layers of the same kind correct the values of the layers that see ωi: Σ c_lm Y_lm(ωi) is added to them, where c_lm are
+the low bands less the coefficients of these values. So Ŝ has nearly the same coefficients in all uses of a network.
 """
 
 import math
@@ -22,11 +25,11 @@ _CHANNELS = 3
 class LowBands(nn.Module):
     """Layers from the features of a view to its coefficients: SiLU, and the first output again before the third."""
 
-    def __init__(self, settings: NetworkSettings, generator: torch.Generator) -> None:
+    def __init__(self, inputs: int, width: int, generator: torch.Generator) -> None:
         """Initial weights by He et al. 2015, drawn by `generator`; the initial coefficients are small."""
         super().__init__()
-        self.hidden = nn.ModuleList(nn.Linear(n, m) for m, n in low_shapes(settings)[:-1])
-        self.output = nn.Linear(settings.low_width, LOW_COUNT * _CHANNELS)
+        self.hidden = nn.ModuleList(nn.Linear(n, m) for m, n in low_shapes(inputs, width)[:-1])
+        self.output = nn.Linear(width, LOW_COUNT * _CHANNELS)
         for layer in (*self.hidden, self.output):
             assert isinstance(layer, nn.Linear)
             gain = 0.1 if layer is self.output else 2.0
@@ -35,7 +38,7 @@ class LowBands(nn.Module):
                 layer.bias.zero_()
 
     def forward(self, features: Tensor) -> Tensor:
-        """a_lm [N,9,3] over the output scale, float32, from the inputs of the first layer [N, view_inputs]."""
+        """Coefficients [N,9,3] over the output scale, float32, from features [N,inputs]."""
         first = h = torch.nn.functional.silu(self.hidden[0](features.to(self.output.weight.dtype)))
         h = torch.nn.functional.silu(self.hidden[1](h))
         h = torch.nn.functional.silu(self.hidden[2](torch.cat((h, first), dim=-1)))
@@ -43,12 +46,14 @@ class LowBands(nn.Module):
         return coefficients.reshape(-1, LOW_COUNT, _CHANNELS)
 
 
-def low_shapes(settings: NetworkSettings) -> tuple[tuple[int, int], ...]:
-    """(outputs, inputs) of the layers; none if the settings have no low bands."""
-    width = settings.low_width
-    if not width:
-        return ()
-    return (width, settings.view_inputs), (width, width), (width, 2 * width), (LOW_COUNT * _CHANNELS, width)
+def low_shapes(inputs: int, width: int) -> tuple[tuple[int, int], ...]:
+    """(outputs, inputs) of the layers; none if they have no width."""
+    return ((width, inputs), (width, width), (width, 2 * width), (LOW_COUNT * _CHANNELS, width)) if width else ()
+
+
+def correction_inputs(settings: NetworkSettings) -> int:
+    """Inputs of the layers that correct the values: the features of a view, and what the trunk makes of them."""
+    return settings.view_inputs + settings.width
 
 
 def low_harmonics(directions: Tensor) -> Tensor:

@@ -4,11 +4,14 @@ A model is a transport: bakes, pictures and reports need only `Model`. `Trainabl
 neural BSSRDF is one kind; the baselines that it is compared with are others (`prt_bake.baselines`).
 """
 
+import os
 from abc import abstractmethod
+from functools import partial
 from importlib import import_module
 from typing import Any, ClassVar, Self
 
 import numpy as np
+import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
@@ -20,6 +23,10 @@ NEURAL_BSSRDF = "neural bssrdf"
 _READERS = {"neumip": "prt_bake.baselines.neumip", "nerfactor": "prt_bake.baselines.nerfactor"}
 """Kind → the module whose `from_file(head, tensors)` makes a model of a file's content. By name: these rooms are above
 this one."""
+
+if hasattr(os, "register_at_fork"):  # Windows has no fork
+    # torch waits for ever for its threads, which a forked process lacks.
+    os.register_at_fork(after_in_child=partial(torch.set_num_threads, 1))
 
 
 class Model(nn.Module):

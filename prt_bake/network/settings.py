@@ -77,6 +77,9 @@ class NetworkSettings:
     low_width: int = 0
     """Width of the layers that predict the coefficients to degree 2 of a view (`prt_bake.network.low_bands`); 0: none.
     Needs light_layers."""
+    correction_width: int = 0
+    """Width of the layers that correct the bands to degree 2 of the values (`prt_bake.network.low_bands`); 0: none.
+    Needs low_width."""
     lobes: int = 0
     """Narrow lobes in ωi that the trunk predicts for each view (`prt_bake.network.lobes`)."""
     shape_places: int = 0
@@ -133,6 +136,11 @@ class NetworkSettings:
             raise ModelError(
                 "network settings: low_width must not be negative, and must be 0 without light_layers; "
                 f"found {self.low_width}"
+            )
+        if self.correction_width < 0 or (self.correction_width and not self.low_width):
+            raise ModelError(
+                "network settings: correction_width must not be negative, and must be 0 without low_width; "
+                f"found {self.correction_width}"
             )
         if self.lobes < 0 or (self.lobes and not self.tells_normal):
             raise ModelError(

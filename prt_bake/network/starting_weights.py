@@ -13,7 +13,16 @@ from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.network.features.feature_grid import FeatureGrid
 from prt_bake.network.settings import EXIT_INPUTS, INPUTS_PER_CHANNEL, NetworkSettings
 
-_MAY_DIFFER = {"interfaces", "branches", "inner_bodies", "low_width", "lobes", "material_channels", "grid_places"}
+_MAY_DIFFER = {
+    "interfaces",
+    "branches",
+    "inner_bodies",
+    "low_width",
+    "correction_width",
+    "lobes",
+    "material_channels",
+    "grid_places",
+}
 """Settings that depend on the scene, and whose weights can be copied in part."""
 _FIRST_LAYERS = "hidden.0.weight", "low.hidden.0.weight"
 """Their inputs are those of a view."""

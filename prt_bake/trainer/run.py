@@ -19,13 +19,15 @@ from prt_bake.trainer.budget import Budget
 from prt_bake.trainer.cores import available_cores
 from prt_bake.trainer.fit import Fit
 from prt_bake.trainer.history import Meter, TrainingProgress, every_tenth
+from prt_bake.trainer.learning import correction, low_bands
 from prt_bake.trainer.learning.learner import LearningSettings
-from prt_bake.trainer.learning.low_bands import SHARE_OF_TIME, STEPS_A_STEP, fit_low_bands
 from prt_bake.trainer.learning.prefetch import Prefetcher
 from prt_bake.trainer.resume import read_state, write_state
 from prt_bake.trainer.samples.rows import RowSource
 from prt_bake.trainer.training_data import TrainingData
 
+_LOW_BANDS = low_bands.SHARE_OF_TIME / (low_bands.SHARE_OF_TIME + correction.SHARE_OF_TIME)
+"""The share of low bands in the time after learning."""
 Progress = Callable[[TrainingProgress], None]
 Part = Callable[[str, float], None]
 
@@ -168,9 +170,9 @@ class Run:
 
     @property
     def _share_of_low_bands(self) -> float:
-        """The share of the time of learning in which low bands are fitted."""
+        """The share of the time of learning in which low bands, and the correction of the values, are fitted."""
         traced = self.source is not None and self.source.traced is not None
-        return SHARE_OF_TIME if traced and self.low is not None else 0.0
+        return low_bands.SHARE_OF_TIME + correction.SHARE_OF_TIME if traced and self.low is not None else 0.0
 
     def share(self, steps: int | None) -> float:
         """The share of the run that is over, by steps if given, else by time."""
@@ -243,37 +245,47 @@ class Run:
             self._fit_low_bands(fitted, steps)
         except KeyboardInterrupt:
             self.stopped = True
-        chosen: TrainableModel = min((network, before.rounded(), fitted.rounded()), key=self.reference.relative_rmse)
-        return chosen
+        chosen: Any = min((network, before.rounded(), fitted.rounded()), key=self.reference.relative_rmse)
+        try:
+            self._fit_correction(chosen, steps)
+        except KeyboardInterrupt:
+            self.stopped = True
+        rounded: TrainableModel = chosen.rounded()
+        return rounded
 
     def _fit_low_bands(self, network: Any, steps: int | None) -> None:
-        """Fit the network's low bands, for as long as the budget leaves."""
+        """Fit the network's low bands to all queries."""
+        fit_steps = None if steps is None else low_bands.STEPS_A_STEP * self.learner.step
+        self._fit(partial(low_bands.fit_low_bands, network), fit_steps, 0.0, _LOW_BANDS)
+
+    def _fit_correction(self, network: Any, steps: int | None) -> None:
+        """Correct the values of a network by its low bands, if it has any."""
+        if network.low is not None:
+            fit_steps = None if steps is None else correction.STEPS_A_STEP * self.learner.step
+            self._fit(partial(correction.fit_correction, network), fit_steps, _LOW_BANDS, 1.0)
+
+    def _fit(self, fit: Callable[..., None], steps: int | None, begin: float, end: float) -> None:
+        """Run a fit to all queries of the run, from one share of the time that is for such fits to another."""
         assert self.source is not None
         queries = None if self.source.traced is None else self.source.traced.joined()
         if self.stopped or queries is None:
             return
+        left = math.inf if self.budget is None else self.budget.learning(self.seconds + self.low_seconds)
 
-        def follow(share: float) -> None:
-            self.part("low bands", share)
+        def follow(over: float) -> None:
+            self.part("low bands", begin + (end - begin) * over)
             if self._stop():
                 raise KeyboardInterrupt
 
         threads_before, begun = torch.get_num_threads(), time.perf_counter()
-        torch.set_num_threads(self.data.learner_threads(self.learning, network.box_min.device.type))
+        torch.set_num_threads(self.data.learner_threads(self.learning, self.learner.network.box_min.device.type))
+        threads = 0 if self.synchronous else available_cores()
+        seconds = (end - begin) / (1.0 - begin) * left
         try:
-            fit_low_bands(
-                network,
-                queries,
-                self.learning,
-                self.seed,
-                0 if self.synchronous else available_cores(),
-                steps=None if steps is None else STEPS_A_STEP * self.learner.step,
-                seconds=math.inf if self.budget is None else self.budget.learning(self.seconds),
-                follow=follow,
-            )
+            fit(queries, self.learning, self.seed, threads, steps=steps, seconds=seconds, follow=follow)
         finally:
             torch.set_num_threads(threads_before)
-            self.low_seconds = time.perf_counter() - begun
+            self.low_seconds += time.perf_counter() - begun
 
     def _errors(self, network: TrainableModel) -> dict[str, Any]:
         """The final errors."""

@@ -1,5 +1,6 @@
 """Low bands: what they are as a function, as a file, in every way of evaluating it, and beside lobes."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +31,15 @@ def network(settings: NetworkSettings = SETTINGS) -> NeuralBSSRDF:
     if made.low is not None:
         with torch.no_grad():
             made.low.output.weight.mul_(10.0)
+    return made
+
+
+def corrected(settings: NetworkSettings = SETTINGS) -> NeuralBSSRDF:
+    """A network whose correction is as large as its values."""
+    made = network(replace(settings, correction_width=8))
+    assert made.correction is not None
+    with torch.no_grad():
+        made.correction.output.weight.mul_(10.0)
     return made
 
 
@@ -72,27 +82,52 @@ def test_all_other_bands_are_those_of_the_other_layers() -> None:
     assert made.up_to(2).up_to(3).only_low is made.only_low is False
 
 
+@pytest.mark.parametrize("settings", [SETTINGS, replace(SETTINGS, lobes=0)])
+def test_a_correction_changes_the_bands_to_degree_2_of_the_values(settings: NetworkSettings) -> None:
+    made, plain = corrected(settings), network(settings)
+    lattice = fibonacci(200)
+    for with_it, without in ((made, plain), (made.smooth(2), plain.smooth(2))):
+        difference = with_it.evaluate(lattice, POSITIONS, OUTGOING).astype(np.float64)
+        difference -= without.evaluate(lattice, POSITIONS, OUTGOING)
+        found = np.einsum("kd,ndc->nkc", np.linalg.pinv(sh.evaluate(lattice, 4)), difference)
+        assert np.abs(found[:, :9]).min(axis=(0, 2)).all()
+        np.testing.assert_allclose(difference, sh.evaluate(lattice, 2) @ found[:, :9], atol=2e-6)
+        np.testing.assert_allclose(found[:, 9:], 0.0, atol=2e-6)
+    np.testing.assert_array_equal(coefficients(made), coefficients(plain))
+
+
 def test_a_transport_is_limited_by_its_own_methods() -> None:
     made = network()
     assert (up_to(made, 2).only_low, smooth(made, 2).only_low, smooth(made, 2).band) == (True, False, 2)
     assert smooth(np.sin, 2) is np.sin
 
 
-def test_every_way_of_evaluating_low_bands_agrees() -> None:
-    low = network().up_to(2)
+LIMITED: dict[str, Callable[[], NeuralBSSRDF]] = {
+    "low bands": lambda: network().up_to(2),
+    "corrected": corrected,
+    "corrected, its lobes to degree 2": lambda: corrected().smooth(2),
+    "corrected, without lobes": lambda: corrected(replace(SETTINGS, lobes=0)),
+}
+
+
+@pytest.mark.parametrize("limited", LIMITED)
+def test_every_way_of_evaluating_agrees(limited: str) -> None:
+    low = LIMITED[limited]()
     incident, rotation = np.stack([fibonacci(7), fibonacci(7)[:, ::-1]]), np.arange(12).reshape(6, 2) % 2
     outgoing = OUTGOING.reshape(6, 2, 3)
     positions, towards = POSITIONS[:6], incident[rotation].reshape(12, 7, 3)
     expected = low.evaluate(towards, np.repeat(positions, 2, axis=0), OUTGOING)
-    for precision in ("float32", "bfloat16"):
+    for precision, off in (("float32", 3e-6), ("bfloat16", 3e-6 if low.only_low else 0.02)):
         block = low.prepared(precision).evaluate_block(incident, rotation, positions, outgoing)
-        np.testing.assert_allclose(block.reshape(12, 7, 3), expected, rtol=1e-5, atol=1e-6)
-    pairs = pair_transport(low).evaluate_pairs(towards, np.repeat(positions, 2, axis=0), OUTGOING)
-    np.testing.assert_allclose(pairs, expected, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(block.reshape(12, 7, 3), expected, rtol=1e-5, atol=off * np.abs(expected).max())
+    if low.band is None or low.only_low:
+        pairs = pair_transport(low).evaluate_pairs(towards, np.repeat(positions, 2, axis=0), OUTGOING)
+        np.testing.assert_allclose(pairs, expected, rtol=1e-5, atol=3e-6 * np.abs(expected).max())
 
 
-def test_a_value_does_not_depend_on_others_in_its_block() -> None:
-    fused = network().up_to(2).prepared()
+@pytest.mark.parametrize("limited", LIMITED)
+def test_a_value_does_not_depend_on_others_in_its_block(limited: str) -> None:
+    fused = LIMITED[limited]().prepared()
     incident, rotation = fibonacci(9)[None], np.zeros((300, 1), np.int64)
     positions, outgoing = 0.5 + 0.3 * uniform(300, 4), uniform(300, 5)[:, None]
     whole = fused.evaluate_block(incident, rotation, positions, outgoing)
@@ -100,12 +135,25 @@ def test_a_value_does_not_depend_on_others_in_its_block() -> None:
     np.testing.assert_array_equal(whole[270:], part)
 
 
-def test_a_file_keeps_low_bands(tmp_path: Path) -> None:
-    made = network()
+def test_a_file_keeps_low_bands_and_correction(tmp_path: Path) -> None:
+    made = corrected()
     save_model(made, tmp_path / "model.pt")
     again = load_model(tmp_path / "model.pt")
     assert isinstance(again, NeuralBSSRDF)
     np.testing.assert_array_equal(coefficients(again), coefficients(made))
+    np.testing.assert_array_equal(projected(again, 20), projected(made, 20))
+
+
+def test_other_low_bands_have_no_correction() -> None:
+    made, plain = corrected(), network()
+    made.set_low_bands(made.low)
+    assert made.settings == plain.settings
+    np.testing.assert_array_equal(projected(made, 40), projected(plain, 40))
+    with_correction = corrected()
+    assert with_correction.correction is not None
+    made.set_correction(with_correction.correction)
+    assert made.settings == with_correction.settings
+    np.testing.assert_array_equal(projected(made, 40), projected(with_correction, 40))
 
 
 def test_a_network_can_lose_them_and_take_others() -> None:
@@ -139,3 +187,5 @@ def test_settings_that_do_not_fit_are_refused() -> None:
         NetworkSettings(low_width=8)
     with pytest.raises(ModelError, match="low_width"):
         replace(SETTINGS, low_width=-1)
+    with pytest.raises(ModelError, match="correction_width must not be negative, and must be 0 without low_width"):
+        replace(LOBED, correction_width=8)

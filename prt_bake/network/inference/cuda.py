@@ -22,6 +22,7 @@ from prt_bake.network.inference.cuda_views import MIN_TILE, PairColumns, Recorde
 from prt_bake.network.inference.fused import FusedNetwork
 from prt_bake.network.inference.light_tables import LightTable, table_bounds
 from prt_bake.network.lobes import Bands, Lobes, lobe_bands
+from prt_bake.network.low_bands import LOW_DEGREE, low_harmonics, low_radiance
 from prt_bake.network.settings import NetworkSettings
 
 ROWS, WARPS = 128, 8
@@ -182,6 +183,11 @@ class CudaNetwork(FusedNetwork):
                     LOBES=settings.lobes, BANDS=0 if band is None else band + 1, ROWS=rows,
                     num_warps=LATE_WARPS[self.precision], **self._kernel_options(),
                 )  # fmt: skip
+                if terms.correction.shape[1]:
+                    added = low_radiance(
+                        terms.correction[views], low_harmonics(light.directions[chosen[views]]), LOW_DEGREE
+                    )
+                    result.view(added.shape).add_(added, alpha=self.network.output_scale)
 
             return launch
 
@@ -232,11 +238,12 @@ class CudaNetwork(FusedNetwork):
         else:
             encoding = network.view.encode(network.relative_positions(x), eye, normals, known_paths(paths.float()))
             features, frame = network.view.features(encoding), encoding.frame
-        added, lobes = late.view_terms(features)
+        added, lobes, correction = late.view_parts(features)
         parts: Lobes | Bands | None = lobes
         if lobes is not None and network.band is not None:
             parts = lobe_bands(lobes, network.band)
-        return ViewTerms(added, frame, tuple(part.float().contiguous() for part in parts or ()))
+        correction = frame.new_zeros((len(x), 0, 3)) if correction is None else correction
+        return ViewTerms(added, frame, tuple(part.float().contiguous() for part in parts or ()), correction)
 
 
 def _padded(rows: Tensor, count: int) -> Tensor:

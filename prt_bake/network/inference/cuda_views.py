@@ -24,11 +24,13 @@ class ViewTerms(NamedTuple):
         added: contributions to the late layers [layers,N,width].
         frame: vectors that are combined with ωi [N,·,3] (`ViewEncoding.frame`).
         lobes: the tensors of `Lobes` or `Bands`, or none.
+        correction: coefficients [N,9,3] of what is added to the output; [N,0,3] if nothing is.
     """
 
     added: Tensor
     frame: Tensor
     lobes: tuple[Tensor, ...]
+    correction: Tensor
 
 
 class PairColumns(NamedTuple):
@@ -72,7 +74,7 @@ class RecordedGraph:
         self._lock = Lock()
         self._graph: Any = None
         self._inputs = torch.empty((0, 0))
-        self._outputs = ViewTerms(torch.empty(0), torch.empty(0), ())
+        self._outputs = ViewTerms(torch.empty(0), torch.empty(0), (), torch.empty(0))
 
     def __call__(self, queries: Tensor) -> ViewTerms:
         """The function's values for any number of views [N,·]."""
@@ -82,7 +84,8 @@ class RecordedGraph:
         added = torch.cat([batch.added for batch in batches], dim=1)
         frame = torch.cat([batch.frame for batch in batches])
         lobes = zip(*(batch.lobes for batch in batches), strict=True)
-        return ViewTerms(added, frame, tuple(torch.cat(parts) for parts in lobes))
+        correction = torch.cat([batch.correction for batch in batches])
+        return ViewTerms(added, frame, tuple(torch.cat(parts) for parts in lobes), correction)
 
     def _batch(self, queries: Tensor) -> ViewTerms:
         count = len(queries)
@@ -98,7 +101,8 @@ class RecordedGraph:
                 terms = self._outputs
             # Copies: the next batch overwrites these tensors.
             lobes = tuple(part[:count].clone() for part in terms.lobes)
-            return ViewTerms(terms.added[:, :count].contiguous().clone(), terms.frame[:count].clone(), lobes)
+            added = terms.added[:, :count].contiguous().clone()
+            return ViewTerms(added, terms.frame[:count].clone(), lobes, terms.correction[:count].clone())
 
     def _record(self) -> None:
         if self._device.type != "cuda":

@@ -25,7 +25,7 @@ from prt_bake.network.inference.light_tables import CachedTables, LightTable, ta
 from prt_bake.network.inference.linear import linear_for
 from prt_bake.network.inference.product_kernel import product_rows
 from prt_bake.network.lobes import Bands, Lobes, evaluate_bands, evaluate_lobes, lobe_bands
-from prt_bake.network.low_bands import low_harmonics, low_radiance
+from prt_bake.network.low_bands import LOW_DEGREE, low_harmonics, low_radiance
 from prt_bake.network.queries import float64_tensor, require_finite
 
 PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16}
@@ -125,7 +125,7 @@ class FusedNetwork:
         bins_per_batch = tile * max(1, self._rows // tile)
         for begin in range(0, count, bins_per_batch):
             batch = view[begin : begin + bins_per_batch]
-            view_terms, lobes = self._trunk(late, batch, tile)
+            view_terms, lobes, correction = self._trunk(late, batch, tile)
             for first in range(0, len(batch), tile):
                 # Every operation runs on a full tile: the last digits of a row depend on the shape of the product.
                 rows = slice(begin + first, begin + first + tile)
@@ -139,6 +139,9 @@ class FusedNetwork:
                     radiance = radiance + evaluate_lobes(Lobes(*_rows(lobes, first, tile)), incident)
                 elif lobes is not None:
                     radiance = radiance + evaluate_bands(Bands(*_rows(lobes, first, tile)), incident)
+                if correction is not None:
+                    part = correction[first : first + tile]
+                    radiance = radiance + low_radiance(part, low_harmonics(incident), LOW_DEGREE)
                 last = min(begin + first + tile, count)
                 scaled = (radiance * self.network.output_scale).cpu().numpy()
                 result[begin + first : last] = scaled[: last - begin - first]
@@ -162,8 +165,9 @@ class FusedNetwork:
         """Ŝ [N,D,3] up to the network's band, of coefficients [N,9,3] and harmonics [N,D,9]."""
         return low_radiance(coefficients, harmonics, self.network.band or 0) * self.network.output_scale
 
-    def _trunk(self, late: LateLayers, view: Tensor, tile: int) -> tuple[Tensor, Lobes | Bands | None]:
-        """Contributions [layers, ≥ N + tile, width] of views [N,·] to the late layers, and their lobes or bands.
+    def _trunk(self, late: LateLayers, view: Tensor, tile: int) -> tuple[Tensor, Lobes | Bands | None, Tensor | None]:
+        """Contributions [layers, ≥ N + tile, width] of views [N,·] to the late layers, their lobes or bands, and the
+        coefficients of their correction.
 
         Runs batches of one fixed size, so that the result does not depend on how bins are cut.
         """
@@ -172,15 +176,17 @@ class FusedNetwork:
             some = view[first : first + self._views_per_batch]
             batch = torch.zeros((self._views_per_batch, view.shape[1]), dtype=view.dtype, device=self._device)
             batch[: len(some)] = some
-            parts.append(late.view_terms(batch))
-        terms = torch.cat([part for part, _lobes in parts], dim=1)
+            parts.append(late.view_parts(batch))
+        terms = torch.cat([part.terms for part in parts], dim=1)
         terms = torch.nn.functional.pad(terms, (0, 0, 0, tile))
-        lobes = [lobes for _part, lobes in parts if lobes is not None]
+        corrections = [part.correction for part in parts if part.correction is not None]
+        correction = _padded(torch.cat(corrections), tile) if corrections else None
+        lobes = [part.lobes for part in parts if part.lobes is not None]
         if not lobes:
-            return terms, None
+            return terms, None, correction
         if self.network.band is None:
-            return terms, Lobes(*_concatenated(lobes, tile))
-        return terms, Bands(*_concatenated([lobe_bands(part, self.network.band) for part in lobes], tile))
+            return terms, Lobes(*_concatenated(lobes, tile)), correction
+        return terms, Bands(*_concatenated([lobe_bands(part, self.network.band) for part in lobes], tile)), correction
 
     def _fill_compiled(self, result: NDArray[np.float32], table: Tensor, chosen: Tensor, view: Tensor) -> None:
         """As `_fill`, with compiled features; bins with the same rotation run together, so its table stays in cache."""

@@ -4,7 +4,7 @@ The trunk runs once per view. The contribution of a shared direction to a late l
 layer then costs an addition per direction, and only the layers after it cost matrix products.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,6 +12,20 @@ from torch import Tensor
 from prt_bake.network.core import NetworkCore
 from prt_bake.network.lobes import Lobes, decode_lobes
 from prt_bake.network.settings import EXIT_INPUTS
+
+
+class ViewParts(NamedTuple):
+    """What late layers need of N views.
+
+    Attributes:
+        terms: contributions [layers,N,width] to the late layers, biases included.
+        lobes: the lobes of the views, if there are any.
+        correction: coefficients [N,9,3] of what is added to the output, if the network corrects its values.
+    """
+
+    terms: Tensor
+    lobes: Lobes | None
+    correction: Tensor | None
 
 
 class LateLayers:
@@ -32,6 +46,7 @@ class LateLayers:
         self._lobes: Any = network.lobes
         if self._lobes is not None:
             self._lobes = self._lobes.weight.detach().to(dtype), self._lobes.bias.detach().to(dtype)
+        self._correction = network.correction
         self._zero = torch.zeros_like(self._biases[0])
         self._split = [self._split_weights(number) for number in range(self._trunk + 1, settings.layers + 1)]
 
@@ -54,11 +69,8 @@ class LateLayers:
         rows = features.to(self._zero.dtype)
         return torch.stack([torch.nn.functional.linear(rows, weight) for weight in self._light_weights])
 
-    def view_terms(self, features: Tensor) -> tuple[Tensor, Lobes | None]:
-        """Contributions [layers, N, width] of views to the late layers, biases included, and their lobes.
-
-        `features` [N, view_inputs] are the inputs of the first layer.
-        """
+    def view_parts(self, features: Tensor) -> ViewParts:
+        """The parts of views with these inputs of the first layer [N, view_inputs]."""
         h = features.to(self._zero.dtype)
         activations: list[Tensor] = []
         for number in range(1, self._trunk + 1):
@@ -69,6 +81,9 @@ class LateLayers:
         lobes = None
         if self._lobes is not None:
             lobes = decode_lobes(self._linear(h, *self._lobes, "none"), features[:, -EXIT_INPUTS:])
+        correction = None
+        if self._correction is not None:
+            correction = self._correction(torch.cat((features.float(), h.float()), dim=1))
         terms = []
         for number, (on_trunk, _on_late) in enumerate(self._split, start=self._trunk + 1):
             sources = [source for source in (number - 1, *self._skips[number - 1]) if source <= self._trunk]
@@ -78,13 +93,13 @@ class LateLayers:
                 terms.append(self._linear(rows, on_trunk, bias, "none"))
             else:
                 terms.append(bias.expand(len(features), -1))
-        return torch.stack(terms), lobes
+        return ViewParts(torch.stack(terms), lobes, correction)
 
     def add_views(self, light: Tensor, views: Tensor, pairs: Tensor) -> Tensor:
         """Adds the contributions of views to those of directions [layers, N, D, width]; gives [layers, N·D, width].
 
-        `views` [layers, N, width] comes from `view_terms`; `pairs` [N, D, pair_inputs] are the features of views and
-        directions together. Overwrites `light`.
+        `views` [layers, N, width] are the terms of `view_parts`; `pairs` [N, D, pair_inputs] are the features of views
+        and directions together. Overwrites `light`.
         """
         rows = pairs.to(self._zero.dtype).flatten(0, 1)
         for layer, part in enumerate(light):

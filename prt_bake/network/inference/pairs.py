@@ -18,7 +18,7 @@ from prt_bake.network.features.fourier import encode_directions
 from prt_bake.network.features.pair_kernel import cycles_rows, fourier_rows
 from prt_bake.network.inference.fused import FusedNetwork
 from prt_bake.network.lobes import evaluate_lobes
-from prt_bake.network.low_bands import low_harmonics
+from prt_bake.network.low_bands import LOW_DEGREE, low_harmonics, low_radiance
 
 Array = NDArray[np.float64]
 
@@ -155,7 +155,7 @@ class PairNetwork(FusedNetwork):
         views = torch.zeros((tile, self.network.settings.view_inputs), device=at)
         frame = torch.zeros((tile, self.network.settings.frame_rows, 3), device=at)
         views[:count], frame[:count] = self.view_rows(torch.as_tensor(positions), torch.as_tensor(outgoing))
-        terms, lobes = self._late.view_terms(views)
+        terms, lobes, correction = self._late.view_parts(views)
         directions = torch.zeros((tile, *incident.shape[1:]), dtype=torch.float64)
         directions[:count] = torch.as_tensor(incident)
         light = self._late.light_table(self.network.light_features(directions.to(at)))
@@ -163,5 +163,10 @@ class PairNetwork(FusedNetwork):
         eye[:count] = torch.as_tensor(outgoing)
         eye, directions = eye.to(at), directions.to(at)
         pairs = self.network.pair_features(directions, eye, frame)
-        smooth = self._late.radiance(self._late.add_views(light, terms, pairs))
-        return smooth if lobes is None else smooth.float() + evaluate_lobes(lobes, directions).flatten(0, 1)
+        radiance = self._late.radiance(self._late.add_views(light, terms, pairs))
+        if lobes is not None:
+            radiance = radiance.float() + evaluate_lobes(lobes, directions).flatten(0, 1)
+        if correction is not None:
+            added = low_radiance(correction, low_harmonics(directions), LOW_DEGREE)
+            radiance = radiance.float() + added.flatten(0, 1)
+        return radiance

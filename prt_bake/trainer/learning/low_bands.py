@@ -11,13 +11,14 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from prt_bake.network.bssrdf import NeuralBSSRDF
+from prt_bake.network.low_bands import LowBands
 from prt_bake.trainer.learning.learner import (
     Learner,
     LearningSettings,
@@ -36,6 +37,8 @@ SHARE_OF_TIME = 0.3
 """Of the time of learning, in runs that end by time."""
 STEPS_A_STEP = 4
 """Steps for each step of the other layers, in runs that end by steps."""
+Follow = Callable[[float], None]
+"""Called with the share of a fit that is over; may raise to end it."""
 _MOST_PASSES = 8
 _DECAY = 0.15
 """Weight decay, against overfitting to queries that are used often."""
@@ -51,7 +54,7 @@ def fit_low_bands(
     *,
     steps: int | None = None,
     seconds: float = math.inf,
-    follow: Callable[[float], None] = lambda share: None,
+    follow: Follow = lambda share: None,
 ) -> None:
     """Fit the low bands of `network`, from the weights that they have, in `steps` or for `seconds`.
 
@@ -61,31 +64,62 @@ def fit_low_bands(
     assert network.low is not None
     low, average = network.low, copy.deepcopy(network.low)
     settings = replace(settings, decay=_DECAY, batch=min(settings.low_batch, len(queries.views)))
-    optimizers = optimizers_of(list(low.parameters()), low, settings)
     most = _MOST_PASSES * (len(queries.views) // settings.batch) if steps is None else steps
 
-    def prepared(chosen: Tensor) -> tuple[Tensor, Tensor, Any, Tensor]:
-        views = queries.views[chosen].to(network.box_min.device)
-        positions = network.box_min + network.box_side * views[:, POSITION].double()
-        encoding = network.encode_views(positions, views[:, OUTGOING])
-        return positions, views[:, OUTGOING], encoding, queries.coefficients(chosen).to(views.device)
+    def prepared(chosen: Tensor) -> tuple[Views, Tensor]:
+        return encoded_views(network, queries, chosen), queries.coefficients(chosen)
+
+    def inputs_and_targets(batch: tuple[Views, Tensor]) -> tuple[Tensor, Tensor]:
+        views, estimates = batch
+        with torch.no_grad():
+            return network.view_features(*views), estimates.to(network.box_min.device) / network.output_scale
 
     batches = in_advance(prepared, orders(len(queries.views), settings.batch, seed), threads)
-    step, begun = 0, time.perf_counter()
     try:
-        while (share := max(step / most, (time.perf_counter() - begun) / seconds)) < 1.0:
-            for group in (group for optimizer in optimizers for group in optimizer.param_groups):
-                group["lr"] = learning_rate(settings, share)
-            positions, outgoing, encoding, estimates = next(batches)
-            with torch.no_grad():
-                features = network.view_features(positions, outgoing, encoding)
-            descend(low_loss(low(features), estimates / network.output_scale).mean(), optimizers)
-            step += 1
-            move_average(average, low, share_of_average(settings, step))
-            follow(share)
+        fit_layers(low, average, map(inputs_and_targets, batches), settings, most, seconds, follow)
     finally:
         batches.close()
         network.low = average
+
+
+class Views(NamedTuple):
+    """Positions [N,3] and outgoing directions [N,3] in the scene's units, and their encoding."""
+
+    positions: Tensor
+    outgoing: Tensor
+    encoding: Any
+
+
+def encoded_views(network: NeuralBSSRDF, queries: Traced, chosen: Tensor) -> Views:
+    """The views of the queries `chosen`, on the network's device."""
+    views = queries.views[chosen].to(network.box_min.device)
+    positions = network.box_min + network.box_side * views[:, POSITION].double()
+    return Views(positions, views[:, OUTGOING], network.encode_views(positions, views[:, OUTGOING]))
+
+
+def fit_layers(
+    layers: LowBands,
+    average: LowBands,
+    batches: Iterator[tuple[Tensor, Tensor]],
+    settings: LearningSettings,
+    most: int,
+    seconds: float,
+    follow: Follow,
+) -> None:
+    """Fit layers to batches of inputs [N,·] and coefficients [N,9,3] in `most` steps, or for `seconds` if that is less.
+
+    `average`, which begins with the same weights, becomes the running average.
+    """
+    optimizers = optimizers_of(list(layers.parameters()), layers, settings)
+    step, begun = 0, time.perf_counter()
+    while (share := max(step / most, (time.perf_counter() - begun) / seconds)) < 1.0:
+        for group in (group for optimizer in optimizers for group in optimizer.param_groups):
+            group["lr"] = learning_rate(settings, share)
+        inputs, targets = next(batches)
+        descend(low_loss(layers(inputs), targets).mean(), optimizers)
+        step += 1
+        move_average(average, layers, share_of_average(settings, step))
+        follow(share)
 
 
 def orders(count: int, batch: int, seed: int) -> Iterator[Tensor]:

@@ -43,6 +43,8 @@ SETTINGS = {
     "interior": LATE,
     "lobes": replace(LATE, lobes=3),
     "low bands": replace(LATE, low_width=16),
+    "correction": replace(LATE, low_width=16, correction_width=16),
+    "correction, lobes": replace(LATE, low_width=16, correction_width=16, lobes=3),
     "paths": replace(LATE, interfaces=6, lobes=3),
 }
 
@@ -107,7 +109,7 @@ def assert_same(part: np.ndarray, complete: np.ndarray) -> None:
     np.testing.assert_allclose(part, complete, rtol=0, atol=2e-6 * np.abs(complete).max())
 
 
-@pytest.mark.parametrize("name", ["paper", "lobes"])
+@pytest.mark.parametrize("name", ["paper", "lobes", "correction"])
 def test_results_do_not_depend_on_how_blocks_are_cut(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     network = cuda.CudaNetwork(network_of(name), "float32", DEVICE)
     incident, rotation, positions, outgoing = queries(network.network)
@@ -124,7 +126,7 @@ def test_results_do_not_depend_on_how_blocks_are_cut(name: str, monkeypatch: pyt
     assert_same(again.evaluate_block(incident, rotation, positions, outgoing), complete)
 
 
-@pytest.mark.parametrize("name", ["late", "lobes", "shipped", "bands", "paths"])
+@pytest.mark.parametrize("name", ["late", "lobes", "shipped", "bands", "paths", "correction"])
 def test_recorded_operations_do_not_wait_for_the_cpu(name: str) -> None:
     """CUDA refuses to record transfers from and to the CPU."""
     device = simulated_gpu.install()

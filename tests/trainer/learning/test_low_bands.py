@@ -31,6 +31,7 @@ pytestmark = WITHOUT_MESH
 SPHERE = 4.0 * np.pi
 TRUTH = SPHERE * sphere_mean(sh.evaluate(nodes(), 2)[:, :, None] * transport(nodes())[:, None])
 """a_lm [9,3] of the transport of `tests.trainer.learning.test_learner`."""
+_OF_LOW_BANDS = "low", "correction"
 SMALL = replace(PRESETS["measured"], features=12, width=16, ray_samples=4, grid_places=4, lobes=0, low_width=12)
 QUICK = replace(LEARNING, batch=64, low_batch=64, held_out_queries=16, held_out_walks=16)
 
@@ -57,7 +58,7 @@ def trained(scene: Scene, steps: int | None, settings: NetworkSettings = SMALL, 
 
 
 def other_layers(made: NeuralBSSRDF) -> dict[str, torch.Tensor]:
-    return {name: weights for name, weights in made.named_parameters() if not name.startswith("low.")}
+    return {name: weights for name, weights in made.named_parameters() if name.split(".")[0] not in _OF_LOW_BANDS}
 
 
 def test_the_loss_is_the_squared_distance_plus_a_constant() -> None:
@@ -163,7 +164,8 @@ def test_other_layers_learn_the_same_with_low_bands_and_without(scene: Scene) ->
     plain = trained(scene, 4, replace(SMALL, low_width=0), synchronous=True)
     for name, weights in plain.named_parameters():
         assert torch.equal(weights, both.get_parameter(name)), name
-    assert plain.low is None
+    assert plain.low is plain.correction is None
+    assert both.correction is not None
 
 
 class Killed(Exception):
@@ -206,13 +208,17 @@ def test_a_run_keeps_the_best(best: str, monkeypatch: pytest.MonkeyPatch) -> Non
     def kind(made: NeuralBSSRDF) -> str:
         return "none" if made.low is None else "fitted" if made.low.output.bias[0].item() == 2.0 else "earlier"
 
+    def correct(run: Any, made: Any, steps: int | None) -> None:
+        made.metadata["corrected"] = kind(made)
+
     monkeypatch.setattr(Run, "_fit_low_bands", fit)
+    monkeypatch.setattr(Run, "_fit_correction", correct)
     run: Any = object.__new__(Run)
     run.low, run.stopped = network().low, False
     run.reference = SimpleNamespace(relative_rmse=lambda made: 0.1 if kind(made) == best else 0.2)
     plain = network(replace(SETTINGS, low_width=0))
     found = run._with_low_bands(plain, None)
-    assert kind(found) == best
+    assert kind(found) == found.metadata["corrected"] == best
     assert found.settings.low_width == (0 if best == "none" else 10)
     run.low = None
     assert run._with_low_bands(plain, None) is plain
@@ -226,10 +232,10 @@ def test_low_bands_that_are_not_finite_are_not_kept(monkeypatch: pytest.MonkeyPa
     assert run._with_low_bands(network(replace(SETTINGS, low_width=0)), None).low is None
 
 
-def test_a_run_by_time_leaves_three_tenths_of_it_for_low_bands() -> None:
+def test_a_run_by_time_leaves_four_tenths_of_it_for_low_bands_and_correction() -> None:
     run: Any = object.__new__(Run)
     run.budget = SimpleNamespace(learning=lambda learned: 100.0 - learned)
-    for low, traced, length in ((network().low, TracedQueries(), 76.0), (None, TracedQueries(), 100.0)):
+    for low, traced, length in ((network().low, TracedQueries(), 68.0), (None, TracedQueries(), 100.0)):
         run.low, run.source = low, SimpleNamespace(traced=traced)
         run._set_length(20.0)
         assert run.length == pytest.approx(length)
@@ -245,15 +251,22 @@ def test_a_run_reports_the_fit_and_can_be_stopped_in_it(scene: Scene) -> None:
         parts.setdefault(name, []).append(share)
 
     made = trained(scene, 3, part=part)
-    np.testing.assert_allclose(parts["low bands"], np.arange(12) / 12)
+    of_low_bands, of_correction = 0.75 * np.arange(12) / 12, 0.75 + 0.25 * np.arange(3) / 3
+    np.testing.assert_allclose(parts["low bands"], [*of_low_bands, *of_correction])
     history = made.metadata["training"]["validation_vs_time"]
     assert len(history) == 2
-    stopped = trained(
-        scene, 3, synchronous=True, part=part, stop=lambda: "low bands" in parts and len(parts["low bands"]) >= 15
-    )
-    assert len(parts["low bands"]) == 15
-    assert stopped.metadata["training"]["stopped"]
-    assert "relative_rmse" not in stopped.metadata["training"]
+    for steps in (3, 13):  # in the fit of the low bands, and in that of the correction
+        parts.clear()
+        stopped = trained(
+            scene,
+            3,
+            synchronous=True,
+            part=part,
+            stop=lambda steps=steps: len(parts.get("low bands", [])) >= steps,
+        )
+        assert len(parts["low bands"]) == steps
+        assert stopped.metadata["training"]["stopped"]
+        assert "relative_rmse" not in stopped.metadata["training"]
 
 
 def test_a_run_that_is_stopped_before_has_no_low_bands(scene: Scene, tmp_path: Path) -> None:
