@@ -71,8 +71,8 @@ def train(
         settings: the network; by default the preset "measured" with `seed`. `PRESETS["paper"]` is the paper's.
         start: network to start from, of the same object with another material, or of a similar one. It needs far fewer
             steps than a new one. Use its seed if you give settings.
-        only_low_bands: keep all layers of `start` but its low bands, the coefficients to degree 2 that bakes use. All
-            the time goes to paths for these.
+        only_low_bands: keep all layers of `start` but its low bands, the coefficients to degree 2 that bakes use, and
+            the correction by them. All the time goes to paths for these.
         device: "auto" (CUDA if available), "cpu" or "cuda".
         output: path of the model, written once a minute and at the end, with a checkpoint for `resume` beside it.
         resume: continue the run whose checkpoint is beside `output`.
@@ -84,8 +84,8 @@ def train(
             the training early and keeps what was learned; the final errors are not measured then.
         say: called with sentences about what is being done.
         stop: ends the training like a KeyboardInterrupt, after a complete step, when it returns True.
-        part: called with "validation queries", "learning", "low bands" or "final errors", and the share of that part
-            that is over.
+        part: called with "validation queries", "learning", "low bands" (and the correction by them) or "final errors",
+            and the share of that part that is over.
         budget: the wall time of a run that has further parts; by default `minutes` from now.
         stream, learning: settings of the renderer and of the optimiser.
 

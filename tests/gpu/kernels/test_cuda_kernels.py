@@ -234,7 +234,7 @@ def test_replayed_batches_leave_earlier_results_unchanged(
 
     def terms(views: torch.Tensor) -> ViewTerms:
         calls.append(len(views))
-        return ViewTerms((2.0 * views).repeat(2, 1, 1), views[:, None] + 1.0, (views**2,))
+        return ViewTerms((2.0 * views).repeat(2, 1, 1), views[:, None] + 1.0, (views**2,), views[:, None] - 1.0)
 
     recorded = RecordedGraph(terms, 4, cast(torch.device, SimpleNamespace(type="cuda")))
     monkeypatch.setattr(torch.cuda, "CUDAGraph", lambda: Graph(recorded), raising=False)
@@ -243,7 +243,9 @@ def test_replayed_batches_leave_earlier_results_unchanged(
     torch.testing.assert_close(found.added, (2.0 * block).repeat(2, 1, 1))
     torch.testing.assert_close(found.frame, block[:, None] + 1.0)
     torch.testing.assert_close(found.lobes, (block**2,))
+    torch.testing.assert_close(found.correction, block[:, None] - 1.0)
     torch.testing.assert_close(first.frame, block[:3, None] + 1.0)
+    torch.testing.assert_close(first.correction, block[:3, None] - 1.0)
 
 
 @pytest.mark.skipif(REAL, reason="on a GPU, blocks cut into batches use its streams")
