@@ -212,8 +212,9 @@ class Graph:
 
     def replay(self) -> None:
         outputs, fresh = self.recorded._outputs, self.recorded._function(self.recorded._inputs)
-        for kept, new in zip((*outputs[:2], *outputs.lobes), (*fresh[:2], *fresh.lobes), strict=True):
-            kept.copy_(new)
+        for kept, new in zip(outputs, fresh, strict=True):
+            for each, its in zip(kept, new, strict=True):  # layers, views, or the tensors of lobes
+                each.copy_(its)
 
 
 @pytest.fixture
