@@ -166,6 +166,8 @@ def test_other_layers_learn_the_same_with_low_bands_and_without(scene: Scene) ->
         assert torch.equal(weights, both.get_parameter(name)), name
     assert plain.low is plain.correction is None
     assert both.correction is not None
+    for weights in both.parameters():
+        assert torch.equal(weights.half().float(), weights)
 
 
 class Killed(Exception):
