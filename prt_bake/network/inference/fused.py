@@ -25,7 +25,7 @@ from prt_bake.network.inference.light_tables import CachedTables, LightTable, ta
 from prt_bake.network.inference.linear import linear_for
 from prt_bake.network.inference.product_kernel import product_rows
 from prt_bake.network.lobes import Bands, Lobes, evaluate_bands, evaluate_lobes, lobe_bands
-from prt_bake.network.low_bands import LOW_DEGREE, low_harmonics, low_radiance
+from prt_bake.network.low_bands import low_harmonics, low_radiance
 from prt_bake.network.queries import float64_tensor, require_finite
 
 PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16}
@@ -121,6 +121,7 @@ class FusedNetwork:
         layers, _rotations, directions, width = light.table.shape
         tile, count = max(1, self._rows // directions), len(chosen)
         terms = torch.zeros((layers, tile, directions, width), dtype=self._dtype, device=self._device)
+        harmonics = None if self.network.correction is None else low_harmonics(light.directions)
         chosen, eye, frame = (_padded(part, tile) for part in (chosen, *pair_inputs))
         bins_per_batch = tile * max(1, self._rows // tile)
         for begin in range(0, count, bins_per_batch):
@@ -139,9 +140,8 @@ class FusedNetwork:
                     radiance = radiance + evaluate_lobes(Lobes(*_rows(lobes, first, tile)), incident)
                 elif lobes is not None:
                     radiance = radiance + evaluate_bands(Bands(*_rows(lobes, first, tile)), incident)
-                if correction is not None:
-                    part = correction[first : first + tile]
-                    radiance = radiance + low_radiance(part, low_harmonics(incident), LOW_DEGREE)
+                if correction is not None and harmonics is not None:
+                    radiance = radiance + torch.bmm(harmonics[chosen[rows]], correction[first : first + tile])
                 last = min(begin + first + tile, count)
                 scaled = (radiance * self.network.output_scale).cpu().numpy()
                 result[begin + first : last] = scaled[: last - begin - first]

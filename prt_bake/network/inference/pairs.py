@@ -18,7 +18,7 @@ from prt_bake.network.features.fourier import encode_directions
 from prt_bake.network.features.pair_kernel import cycles_rows, fourier_rows
 from prt_bake.network.inference.fused import FusedNetwork
 from prt_bake.network.lobes import evaluate_lobes
-from prt_bake.network.low_bands import LOW_DEGREE, low_harmonics, low_radiance
+from prt_bake.network.low_bands import low_harmonics
 
 Array = NDArray[np.float64]
 
@@ -167,6 +167,5 @@ class PairNetwork(FusedNetwork):
         if lobes is not None:
             radiance = radiance.float() + evaluate_lobes(lobes, directions).flatten(0, 1)
         if correction is not None:
-            added = low_radiance(correction, low_harmonics(directions), LOW_DEGREE)
-            radiance = radiance.float() + added.flatten(0, 1)
+            radiance = radiance.float() + torch.bmm(low_harmonics(directions), correction).flatten(0, 1)
         return radiance
