@@ -14,6 +14,7 @@ from formats.errors import ModelError, QueryError
 from formats.scene import Scene
 from prt_bake.mathematics import sh
 from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF, load_model
+from prt_bake.trainer.learning import correction, low_bands
 from prt_bake.trainer.learning.learner import LearningSettings
 from prt_bake.trainer.learning.low_bands import fit_low_bands, orders
 from prt_bake.trainer.learning.objective import low_loss
@@ -244,6 +245,31 @@ def test_a_run_by_time_leaves_four_tenths_of_it_for_low_bands_and_correction() -
     run.low, run.source = network().low, SimpleNamespace(traced=None)
     run._set_length(20.0)
     assert run.length == pytest.approx(100.0)
+
+
+def test_both_fits_share_the_time_that_learning_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three quarters for the low bands; what they do not need, for the correction."""
+    run, requested = object.__new__(Run), list[tuple[float, int | None]]()
+    made: Any = run
+    made.budget = SimpleNamespace(learning=lambda learned: 100.0 - learned)
+    made.source = SimpleNamespace(traced=SimpleNamespace(joined=lambda: queries(5, 1, np.random.default_rng(7))))
+    made.learner = SimpleNamespace(network=network(), step=3)
+    made.data = SimpleNamespace(learner_threads=lambda *_: 1)
+    made.seconds, made.low_seconds, made.stopped, made.synchronous = 20.0, 0.0, False, False
+    made.learning, made.seed, made.part = QUICK, 0, lambda *_: None
+
+    def fit(*_arguments: Any, steps: int | None, seconds: float, follow: Any) -> None:
+        requested.append((seconds, steps))
+        run.low_seconds += 30.0
+
+    monkeypatch.setattr(low_bands, "fit_low_bands", fit)
+    monkeypatch.setattr(correction, "fit_correction", fit)
+    run._fit_low_bands(network(), None)
+    run._fit_correction(network(), None)
+    np.testing.assert_allclose([seconds for seconds, _ in requested], [60.0, 50.0], atol=1.0)
+    run._fit_low_bands(network(), 3)
+    run._fit_correction(network(), 3)
+    assert [steps for _, steps in requested] == [None, None, 12, 3]
 
 
 def test_a_run_reports_the_fit_and_can_be_stopped_in_it(scene: Scene) -> None:
