@@ -20,6 +20,7 @@ from prt_bake.network.lobes import evaluate_lobes
 from prt_bake.network.low_bands import LOW_DEGREE, LowBands, correction_inputs, low_harmonics
 from prt_bake.trainer.learning.learner import LearningSettings, rotated_lattice
 from prt_bake.trainer.learning.low_bands import Follow, Views, encoded_views, fit_layers, orders
+from prt_bake.trainer.learning.objective import low_loss
 from prt_bake.trainer.learning.prefetch import in_advance
 from prt_bake.trainer.samples.traced import Traced
 
@@ -52,13 +53,15 @@ def fit_correction(
     """Give `network`, which has low bands, layers that correct its values, fitted in `steps` or for `seconds`.
 
     The views are those of `queries`. seed: of the layers, the order of the views, and the directions; threads: that
-    encode views. If `follow`, which is called with the share that is over, raises, the network stays as it was.
+    encode views. The network stays as it was if `follow`, which is called with the share that is over, raises, and if
+    the fit was too short to gain anything at new views.
     """
     settings = replace(settings, batch=min(settings.low_batch, len(queries.views)))
     generator = torch.Generator().manual_seed(seed)
     layers = LowBands(correction_inputs(network.settings), _WIDTH, generator)
     layers = layers.to(network.box_min.device)
     average, share = copy.deepcopy(layers), 0.0
+    turns = np.random.default_rng((_TURN_STREAM, seed))
 
     def watch(over: float) -> None:
         nonlocal share
@@ -66,7 +69,7 @@ def fit_correction(
         follow(over)
 
     def batches(new: Iterator[Views]) -> Iterator[tuple[Tensor, Tensor]]:
-        turns, known = np.random.default_rng((_TURN_STREAM, seed)), list[tuple[Tensor, Tensor]]()
+        known = list[tuple[Tensor, Tensor]]()
         while not known or (share < _NEW and len(known) * settings.batch < _MOST_VIEWS):
             inputs, targets = _differences(network, next(new), turns)
             known.append((inputs.half(), targets))
@@ -79,9 +82,13 @@ def fit_correction(
     new = in_advance(lambda some: encoded_views(network, queries, some), chosen, threads)
     try:
         fit_layers(layers, average, batches(new), settings, steps or _MOST_STEPS, seconds, watch)
+        inputs, targets = _differences(network, next(new), turns)
     finally:
         new.close()
-    network.set_correction(average)
+    with torch.no_grad():
+        gains = low_loss(average(inputs), targets).sum() < low_loss(torch.zeros_like(targets), targets).sum()
+    if gains:
+        network.set_correction(average)
 
 
 @torch.no_grad()

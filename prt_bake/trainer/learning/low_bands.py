@@ -112,7 +112,7 @@ def fit_layers(
     """
     optimizers = optimizers_of(list(layers.parameters()), layers, settings)
     step, begun = 0, time.perf_counter()
-    while (share := max(step / most, (time.perf_counter() - begun) / seconds)) < 1.0:
+    while seconds > 0.0 and (share := max(step / most, (time.perf_counter() - begun) / seconds)) < 1.0:
         for group in (group for optimizer in optimizers for group in optimizer.param_groups):
             group["lr"] = learning_rate(settings, share)
         inputs, targets = next(batches)
