@@ -120,8 +120,7 @@ def test_new_views_are_evaluated_until_half_of_the_fit_is_over(
 
 
 def test_a_fit_ends_with_the_time_or_the_most_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    for seconds in (0.0, 1e-9):
-        assert count_new_views(monkeypatch, 64, seconds=seconds) == (1, 0)
+    assert count_new_views(monkeypatch, 64, seconds=0.0) == (1, 0)
     monkeypatch.setattr(correction, "_MOST_STEPS", 7)
     assert count_new_views(monkeypatch, 64) == (5, 7)
 
