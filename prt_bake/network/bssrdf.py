@@ -40,7 +40,7 @@ from prt_bake.network.features.interior import Interior
 from prt_bake.network.inference.fused import FusedNetwork
 from prt_bake.network.inference.prepared import prepared_for
 from prt_bake.network.lobes import LOBE_PARAMETERS
-from prt_bake.network.low_bands import correction_inputs, low_shapes
+from prt_bake.network.low_bands import LEAST_LAYERS, correction_inputs, low_shapes
 from prt_bake.network.model import NEURAL_BSSRDF, Model, model_of_kind
 from prt_bake.network.settings import PRESETS, NetworkSettings
 
@@ -126,7 +126,7 @@ def save_model(network: Model, path: str | Path) -> None:
     """Writes a model as `.pt` or `.safetensors`: tensors, and everything else as JSON.
 
     A tensor is stored in float16 if that is exact (see `rounded`), else in float32. Rounded networks of the presets
-    take 372 KiB ("paper") and at most 1,270 KiB ("measured"). Raises ModelError on another suffix or on weights that
+    take 372 KiB ("paper") and at most 1,335 KiB ("measured"). Raises ModelError on another suffix or on weights that
     are not finite, StorageError if the file cannot be written. An older file stays as it was on failure.
 
     >>> import tempfile
@@ -230,10 +230,10 @@ def _check_metadata(metadata: dict[str, Any]) -> None:
 
 def _check_size(settings: NetworkSettings, stored: int) -> None:
     """Refuse settings of a larger network than the `stored` numbers, before any memory is reserved for it."""
-    if settings.layers <= stored:
+    if settings.layers + settings.low_layers <= stored:
         lobes = LOBE_PARAMETERS * settings.lobes * settings.width
-        low = low_shapes(settings.view_inputs, settings.low_width)
-        correction = low_shapes(correction_inputs(settings), settings.correction_width)
+        low = low_shapes(settings.view_inputs, settings.low_width, settings.low_layers)
+        correction = low_shapes(correction_inputs(settings), settings.correction_width, LEAST_LAYERS)
         shapes = (*settings.layer_shapes, *low, *correction)
         if lobes + sum(outputs * inputs for outputs, inputs in shapes) <= stored:
             return

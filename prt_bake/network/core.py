@@ -22,7 +22,7 @@ from prt_bake.network.features.interior import Interior
 from prt_bake.network.features.view_features import ViewEncoding, ViewFeatures
 from prt_bake.network.features.view_path import Body, ViewPath, path_through
 from prt_bake.network.lobes import LOBE_PARAMETERS, Lobes, decode_lobes, evaluate_lobes
-from prt_bake.network.low_bands import LOW_DEGREE, LowBands, correction_inputs, low_harmonics, low_radiance
+from prt_bake.network.low_bands import LOW_DEGREE, LowBands, correction_of, low_bands_of, low_harmonics, low_radiance
 from prt_bake.network.model import NEURAL_BSSRDF, TrainableModel
 from prt_bake.network.queries import float64_tensor, queries, refuse_outside
 from prt_bake.network.settings import EXIT_INPUTS, NetworkSettings
@@ -108,9 +108,8 @@ class NetworkCore(TrainableModel):
         lobes = self.settings.lobes
         self.lobes = nn.Linear(self.settings.width, LOBE_PARAMETERS * lobes) if lobes else None
         self._initialise(generator)
-        width, corrected = self.settings.low_width, self.settings.correction_width
-        self.low = LowBands(self.settings.view_inputs, width, generator) if width else None
-        self.correction = LowBands(correction_inputs(self.settings), corrected, generator) if corrected else None
+        self.low = low_bands_of(self.settings, generator)
+        self.correction = correction_of(self.settings, generator)
         self.surface: Surface | None = None
         """The object's mesh, which gives exact normals: see `on`."""
         self.path: ViewPath | None = None
@@ -288,9 +287,10 @@ class NetworkCore(TrainableModel):
     def set_low_bands(self, low: LowBands | None) -> None:
         """Take other low bands; without any, the coefficients to degree 2 are those of Ŝ."""
         self.low, self.correction = low, None
-        self.settings = replace(
-            self.settings, low_width=0 if low is None else low.output.in_features, correction_width=0
+        shape = (
+            {"low_width": 0} if low is None else {"low_width": low.output.in_features, "low_layers": len(low.hidden)}
         )
+        self.settings = replace(self.settings, correction_width=0, **shape)
 
     def set_correction(self, correction: LowBands) -> None:
         """Take layers that correct the values."""

@@ -19,16 +19,18 @@ from prt_bake.network.settings import NetworkSettings
 
 LOW_DEGREE = 2
 LOW_COUNT = (LOW_DEGREE + 1) ** 2
+LEAST_LAYERS = 3
+"""Hidden layers of low bands and of corrections, of which low bands may have more."""
 _CHANNELS = 3
 
 
 class LowBands(nn.Module):
     """Layers from the features of a view to its coefficients: SiLU, and the first output again before the third."""
 
-    def __init__(self, inputs: int, width: int, generator: torch.Generator) -> None:
+    def __init__(self, inputs: int, width: int, layers: int, generator: torch.Generator) -> None:
         """Initial weights by He et al. 2015, drawn by `generator`; the initial coefficients are small."""
         super().__init__()
-        self.hidden = nn.ModuleList(nn.Linear(n, m) for m, n in low_shapes(inputs, width)[:-1])
+        self.hidden = nn.ModuleList(nn.Linear(n, m) for m, n in low_shapes(inputs, width, layers)[:-1])
         self.output = nn.Linear(width, LOW_COUNT * _CHANNELS)
         for layer in (*self.hidden, self.output):
             assert isinstance(layer, nn.Linear)
@@ -39,21 +41,39 @@ class LowBands(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """Coefficients [N,9,3] over the output scale, float32, from features [N,inputs]."""
-        first = h = torch.nn.functional.silu(self.hidden[0](features.to(self.output.weight.dtype)))
-        h = torch.nn.functional.silu(self.hidden[1](h))
-        h = torch.nn.functional.silu(self.hidden[2](torch.cat((h, first), dim=-1)))
+        silu = torch.nn.functional.silu
+        first = h = silu(self.hidden[0](features.to(self.output.weight.dtype)))
+        h = silu(self.hidden[1](h))
+        h = silu(self.hidden[2](torch.cat((h, first), dim=-1)))
+        for layer in self.hidden[LEAST_LAYERS:]:
+            h = silu(layer(h))
         coefficients: Tensor = self.output(h).float()
         return coefficients.reshape(-1, LOW_COUNT, _CHANNELS)
 
 
-def low_shapes(inputs: int, width: int) -> tuple[tuple[int, int], ...]:
-    """(outputs, inputs) of the layers; none if they have no width."""
-    return ((width, inputs), (width, width), (width, 2 * width), (LOW_COUNT * _CHANNELS, width)) if width else ()
+def low_bands_of(settings: NetworkSettings, generator: torch.Generator) -> LowBands | None:
+    """New low bands of a network; None if its settings leave them out."""
+    if not settings.low_width:
+        return None
+    return LowBands(settings.view_inputs, settings.low_width, settings.low_layers, generator)
+
+
+def correction_of(settings: NetworkSettings, generator: torch.Generator) -> LowBands | None:
+    """New layers that correct the values of a network; None if its settings leave them out."""
+    if not settings.correction_width:
+        return None
+    return LowBands(correction_inputs(settings), settings.correction_width, LEAST_LAYERS, generator)
 
 
 def correction_inputs(settings: NetworkSettings) -> int:
     """Inputs of the layers that correct the values: the features of a view, and what the trunk makes of them."""
     return settings.view_inputs + settings.width
+
+
+def low_shapes(inputs: int, width: int, layers: int) -> tuple[tuple[int, int], ...]:
+    """(outputs, inputs) of the hidden `layers` and of the output."""
+    more = ((width, width),) * (layers - LEAST_LAYERS)
+    return ((width, inputs), (width, width), (width, 2 * width), *more, (LOW_COUNT * _CHANNELS, width))
 
 
 def low_harmonics(directions: Tensor) -> Tensor:

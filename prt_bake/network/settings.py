@@ -77,6 +77,8 @@ class NetworkSettings:
     low_width: int = 0
     """Width of the layers that predict the coefficients to degree 2 of a view (`prt_bake.network.low_bands`); 0: none.
     Needs light_layers."""
+    low_layers: int = 3
+    """Their hidden layers, at least 3."""
     correction_width: int = 0
     """Width of the layers that correct the bands to degree 2 of the values (`prt_bake.network.low_bands`); 0: none.
     Needs low_width."""
@@ -137,6 +139,8 @@ class NetworkSettings:
                 "network settings: low_width must not be negative, and must be 0 without light_layers; "
                 f"found {self.low_width}"
             )
+        if self.low_layers < 3:
+            raise ModelError(f"network settings: low_layers must be at least 3, found {self.low_layers}")
         if self.correction_width < 0 or (self.correction_width and not self.low_width):
             raise ModelError(
                 "network settings: correction_width must not be negative, and must be 0 without low_width; "
@@ -311,6 +315,7 @@ PRESETS: dict[str, NetworkSettings] = {
         interfaces=64,
         branches=16,
         low_width=128,
+        low_layers=5,
         lobes=2,
         shape_places=4,
         grid_places=32,

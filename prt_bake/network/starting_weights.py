@@ -18,6 +18,7 @@ _MAY_DIFFER = {
     "branches",
     "inner_bodies",
     "low_width",
+    "low_layers",
     "correction_width",
     "lobes",
     "material_channels",
@@ -31,8 +32,8 @@ _FIRST_LAYERS = "hidden.0.weight", "low.hidden.0.weight"
 def start_from(network: NeuralBSSRDF, earlier: NeuralBSSRDF) -> None:
     """Give a network the weights and the output scale of an earlier one, as far as both have the same inputs.
 
-    Weights of inputs that only the new network has are 0, and learned features are interpolated at its nodes. Raises
-    ModelError if the layers differ otherwise, as between the presets.
+    Weights of inputs that only the new network has are 0, and learned features are interpolated at its nodes. Low bands
+    of another depth begin anew. Raises ModelError if the layers differ otherwise, as between the presets.
     """
     refuse_other_layers(network.settings, earlier.settings)
     network.output_scale = earlier.output_scale
@@ -40,6 +41,8 @@ def start_from(network: NeuralBSSRDF, earlier: NeuralBSSRDF) -> None:
     with torch.no_grad():
         for name, weight in network.named_parameters():
             if name not in weights or weights[name].shape[0] != weight.shape[0]:
+                continue
+            if name.startswith("low.") and network.settings.low_layers != earlier.settings.low_layers:
                 continue
             if name in _FIRST_LAYERS:
                 _copy_columns(weight, weights[name], network.settings, earlier.settings)

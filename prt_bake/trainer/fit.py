@@ -1,5 +1,6 @@
 """What a training fits: the neural BSSRDF, or another model that brings its own learner."""
 
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -63,6 +64,10 @@ class NetworkFit:
             self._interior = interior_of(data.scene, data.box, interfaces, material)
             settings = with_fitting_grid(settings, self._interior)
         self._settings = settings
+        self.earlier_low = None
+        """The low bands of the network to start from, if they have the same inputs."""
+        if start is not None and start.settings.view_inputs == settings.view_inputs:
+            self.earlier_low = deepcopy(start.low).to(device) if start.low is not None else None
         self.resume_settings = {
             **{f"network {name}": value for name, value in settings.as_json().items()},
             "interior": "" if self._interior is None else self._interior.content_hash,

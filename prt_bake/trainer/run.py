@@ -49,6 +49,7 @@ class Run:
         model: Any = fit.model(self.reference.scale() or 1.0)
         self.low = getattr(model, "low", None)
         """The low bands before they are fitted, which the model lacks until then."""
+        self.earlier_low = getattr(fit, "earlier_low", None)
         self.low_seconds = 0.0
         if self.low is not None:
             model.set_low_bands(None)
@@ -240,7 +241,7 @@ class Run:
             return network
         fitted, before = deepcopy(network), deepcopy(network)
         fitted.set_low_bands(self.low)
-        before.set_low_bands(deepcopy(self.low))
+        before.set_low_bands(deepcopy(self.earlier_low))
         try:
             self._fit_low_bands(fitted, steps)
         except KeyboardInterrupt:

@@ -182,10 +182,34 @@ def test_a_training_starts_from_low_bands_if_there_are_any() -> None:
         assert torch.equal(found, expected)
 
 
+def test_low_bands_of_another_depth_begin_anew() -> None:
+    earlier, deeper, drawn = network(replace(SETTINGS, low_layers=3)), network(), network()
+    start_from(deeper, earlier)
+    np.testing.assert_array_equal(coefficients(deeper), coefficients(drawn))
+    assert not np.allclose(coefficients(deeper), coefficients(earlier), rtol=0.1)
+    assert drawn.settings.low_layers == 5
+    drawn.set_low_bands(earlier.low)
+    assert drawn.settings == earlier.settings
+
+
+def test_deeper_low_bands_are_kept_in_files(tmp_path: Path) -> None:
+    made = network(replace(SETTINGS, low_layers=4))
+    assert made.low is not None
+    with torch.no_grad():
+        made.low.hidden[3].weight.fill_(0.25)
+    save_model(made, tmp_path / "model.pt")
+    again = load_model(tmp_path / "model.pt")
+    assert isinstance(again, NeuralBSSRDF)
+    assert again.settings.low_layers == 4
+    np.testing.assert_array_equal(coefficients(again), coefficients(made))
+
+
 def test_settings_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ModelError, match="low_width must not be negative, and must be 0 without light_layers"):
         NetworkSettings(low_width=8)
     with pytest.raises(ModelError, match="low_width"):
         replace(SETTINGS, low_width=-1)
+    with pytest.raises(ModelError, match="low_layers must be at least 3, found 2"):
+        replace(SETTINGS, low_layers=2)
     with pytest.raises(ModelError, match="correction_width must not be negative, and must be 0 without low_width"):
         replace(LOBED, correction_width=8)

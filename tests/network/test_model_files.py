@@ -96,7 +96,17 @@ def test_entries_that_unpack_to_far_more_than_the_file_are_refused(tmp_path: Pat
 
 @pytest.mark.parametrize(
     "setting",
-    ["width", "layers", "features", "light_features", "ray_samples", "low_width", "correction_width", "lobes"],
+    [
+        "width",
+        "layers",
+        "features",
+        "light_features",
+        "ray_samples",
+        "low_width",
+        "low_layers",
+        "correction_width",
+        "lobes",
+    ],
 )
 def test_settings_of_a_larger_network_than_the_file_are_refused(tmp_path: Path, setting: str) -> None:
     path = tmp_path / "model.pt"

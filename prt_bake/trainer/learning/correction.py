@@ -17,11 +17,12 @@ from torch import Tensor
 
 from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.network.lobes import evaluate_lobes
-from prt_bake.network.low_bands import LOW_DEGREE, LowBands, correction_inputs, low_harmonics
+from prt_bake.network.low_bands import LOW_DEGREE, correction_of, low_harmonics
 from prt_bake.trainer.learning.learner import LearningSettings, rotated_lattice
-from prt_bake.trainer.learning.low_bands import Follow, Views, encoded_views, fit_layers, orders
+from prt_bake.trainer.learning.low_bands import Follow, fit_layers, orders
 from prt_bake.trainer.learning.objective import low_loss
 from prt_bake.trainer.learning.prefetch import in_advance
+from prt_bake.trainer.learning.view_features import Views, encoded_views
 from prt_bake.trainer.samples.traced import Traced
 
 SHARE_OF_TIME = 0.1
@@ -58,8 +59,9 @@ def fit_correction(
     """
     settings = replace(settings, batch=min(settings.low_batch, len(queries.views)))
     generator = torch.Generator().manual_seed(seed)
-    layers = LowBands(correction_inputs(network.settings), _WIDTH, generator)
-    layers = layers.to(network.box_min.device)
+    layers = correction_of(replace(network.settings, correction_width=_WIDTH), generator)
+    assert layers is not None
+    layers.to(network.box_min.device)
     average, share = copy.deepcopy(layers), 0.0
     turns = np.random.default_rng((_TURN_STREAM, seed))
 

@@ -34,7 +34,9 @@ SPHERE = 4.0 * np.pi
 TRUTH = SPHERE * sphere_mean(sh.evaluate(nodes(), 2)[:, :, None] * transport(nodes())[:, None])
 """a_lm [9,3] of the transport of `tests.trainer.learning.test_learner`."""
 _OF_LOW_BANDS = "low", "correction"
-SMALL = replace(PRESETS["measured"], features=12, width=16, ray_samples=4, grid_places=4, lobes=0, low_width=12)
+SMALL = replace(
+    PRESETS["measured"], features=12, width=16, ray_samples=4, grid_places=4, lobes=0, low_width=12, low_layers=3
+)
 QUICK = replace(LEARNING, batch=64, low_batch=64, held_out_queries=16, held_out_walks=16)
 
 
@@ -120,6 +122,20 @@ def test_a_fit_ends_after_eight_passes_or_with_the_time(monkeypatch: pytest.Monk
     assert not shares
     fit_low_bands(network(), traced, LearningSettings(low_batch=32), 0, 0, seconds=5.0, follow=shares.append)
     np.testing.assert_allclose(shares, [0.2, 0.4, 0.6, 0.8])
+
+
+def test_many_queries_have_larger_batches_at_a_higher_rate_in_more_passes(monkeypatch: pytest.MonkeyPatch) -> None:
+    requested = list[tuple[int, float, int]]()
+
+    def fit(_low: Any, _average: Any, _batches: Any, settings: LearningSettings, most: int, *_rest: Any) -> None:
+        requested.append((settings.batch, settings.rate, most))
+
+    monkeypatch.setattr(low_bands, "fit_layers", fit)
+    monkeypatch.setattr(low_bands, "_MANY", 100)
+    for count in (99, 100):
+        traced = queries(count, 1, np.random.default_rng(8))
+        fit_low_bands(network(), traced, LearningSettings(low_batch=16, rate=0.02), 0, 0)
+    assert requested == [(16, 0.02, 8 * 6), (32, pytest.approx(0.03), 16 * 3)]
 
 
 def test_weights_without_gradient_decay_as_for_several_passes() -> None:
@@ -223,19 +239,20 @@ def test_a_run_keeps_the_best(best: str, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(Run, "_fit_low_bands", fit)
     monkeypatch.setattr(Run, "_fit_correction", correct)
     run: Any = object.__new__(Run)
-    run.low, run.stopped = network().low, False
+    run.low, run.earlier_low, run.stopped = network().low, network(replace(SETTINGS, low_layers=4)).low, False
     run.reference = SimpleNamespace(relative_rmse=lambda made: 0.1 if kind(made) == best else 0.2)
     plain = network(replace(SETTINGS, low_width=0))
     found = run._with_low_bands(plain, None)
     assert kind(found) == found.metadata["corrected"] == best
     assert found.settings.low_width == (0 if best == "none" else 10)
+    assert found.low is None or found.settings.low_layers == len(found.low.hidden) == (4 if best == "earlier" else 5)
     run.low = None
     assert run._with_low_bands(plain, None) is plain
 
 
 def test_low_bands_that_are_not_finite_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     run: Any = object.__new__(Run)
-    run.low, run.stopped = network().low, True
+    run.low, run.earlier_low, run.stopped = network().low, None, True
     run.reference = SimpleNamespace(relative_rmse=lambda made: 0.5 if made.low is None else float("nan"))
     run.source = SimpleNamespace(traced=None)
     assert run._with_low_bands(network(replace(SETTINGS, low_width=0)), None).low is None
