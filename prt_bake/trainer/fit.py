@@ -11,6 +11,7 @@ from formats.errors import QueryError
 from formats.scene import Scene
 from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF
 from prt_bake.network.inference.pairs import content_hash
+from prt_bake.network.low_bands import LowBands
 from prt_bake.network.model import TrainableModel
 from prt_bake.network.starting_weights import refuse_other_layers, start_from
 from prt_bake.tracer.prepared import interface_kind, is_unrefracted
@@ -64,10 +65,8 @@ class NetworkFit:
             self._interior = interior_of(data.scene, data.box, interfaces, material)
             settings = with_fitting_grid(settings, self._interior)
         self._settings = settings
-        self.earlier_low = None
-        """The low bands of the network to start from, if they have the same inputs."""
-        if start is not None and start.settings.view_inputs == settings.view_inputs:
-            self.earlier_low = deepcopy(start.low).to(device) if start.low is not None else None
+        self.earlier_low: LowBands | None = None
+        """The low bands of the network to start from, if those of `model` have the same inputs."""
         self.resume_settings = {
             **{f"network {name}": value for name, value in settings.as_json().items()},
             "interior": "" if self._interior is None else self._interior.content_hash,
@@ -84,6 +83,8 @@ class NetworkFit:
         network = network.to(self._device).on(self._scene.mesh)
         if self._start is not None:
             start_from(network, self._start)
+            if self._start.low is not None and self._start.settings.view_inputs == network.settings.view_inputs:
+                self.earlier_low = deepcopy(self._start.low).to(self._device)
         return network
 
     def learner(self, model: TrainableModel, learning: LearningSettings) -> Learner:

@@ -346,6 +346,20 @@ def test_only_low_bands_change_if_that_is_requested(scene: Scene, tmp_path: Path
         trained(scene, 80, start=start, synchronous=True, output=output, resume=True)
 
 
+@pytest.mark.parametrize("layers", [3, 5])
+def test_a_short_run_keeps_the_low_bands_of_the_start(scene: Scene, layers: int) -> None:
+    """Also those of another depth, which it does not learn from."""
+    start = trained(scene, 40, synchronous=True)
+    assert start.low is not None
+    settings = replace(SMALL, low_layers=layers)
+    quick = replace(QUICK, rate=1e-9)
+    made = trained(scene, 1, settings, start=start, only_low_bands=True, synchronous=True, learning=quick)
+    assert made.low is not None
+    assert made.settings.low_layers == len(made.low.hidden) == 3
+    for weights, before in zip(made.low.parameters(), start.low.parameters(), strict=True):
+        torch.testing.assert_close(weights, before, rtol=1e-3, atol=1e-5)
+
+
 def test_only_low_bands_needs_some_to_learn(scene: Scene, tmp_path: Path) -> None:
     start = trained(scene, 1, synchronous=True)
     requests: list[tuple[Scene, dict[str, Any], str]] = [
