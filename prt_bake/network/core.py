@@ -287,10 +287,8 @@ class NetworkCore(TrainableModel):
     def set_low_bands(self, low: LowBands | None) -> None:
         """Take other low bands; without any, the coefficients to degree 2 are those of Ŝ."""
         self.low, self.correction = low, None
-        shape = (
-            {"low_width": 0} if low is None else {"low_width": low.output.in_features, "low_layers": len(low.hidden)}
-        )
-        self.settings = replace(self.settings, correction_width=0, **shape)
+        width, layers = (0, self.settings.low_layers) if low is None else (low.output.in_features, len(low.hidden))
+        self.settings = replace(self.settings, low_width=width, low_layers=layers, correction_width=0)
 
     def set_correction(self, correction: LowBands) -> None:
         """Take layers that correct the values."""

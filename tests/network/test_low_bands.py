@@ -195,8 +195,10 @@ def test_low_bands_of_another_depth_begin_anew() -> None:
 def test_deeper_low_bands_are_kept_in_files(tmp_path: Path) -> None:
     made = network(replace(SETTINGS, low_layers=4))
     assert made.low is not None
+    before = coefficients(made)
     with torch.no_grad():
         made.low.hidden[3].weight.fill_(0.25)
+    assert not np.allclose(coefficients(made), before, rtol=0.1)
     save_model(made, tmp_path / "model.pt")
     again = load_model(tmp_path / "model.pt")
     assert isinstance(again, NeuralBSSRDF)
