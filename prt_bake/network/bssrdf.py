@@ -40,9 +40,9 @@ from prt_bake.network.features.interior import Interior
 from prt_bake.network.inference.fused import FusedNetwork
 from prt_bake.network.inference.prepared import prepared_for
 from prt_bake.network.lobes import LOBE_PARAMETERS
-from prt_bake.network.low_bands import LEAST_LAYERS, correction_inputs, low_shapes
+from prt_bake.network.low_bands import correction_inputs, low_shapes
 from prt_bake.network.model import NEURAL_BSSRDF, Model, model_of_kind
-from prt_bake.network.settings import PRESETS, NetworkSettings
+from prt_bake.network.settings import LEAST_LAYERS, PRESETS, NetworkSettings
 
 __all__ = ["PRESETS", "NetworkSettings", "NeuralBSSRDF", "load_model", "save_model"]
 

@@ -15,12 +15,10 @@ import math
 import torch
 from torch import Tensor, nn
 
-from prt_bake.network.settings import NetworkSettings
+from prt_bake.network.settings import LEAST_LAYERS, NetworkSettings
 
 LOW_DEGREE = 2
 LOW_COUNT = (LOW_DEGREE + 1) ** 2
-LEAST_LAYERS = 3
-"""Hidden layers of low bands and of corrections, of which low bands may have more."""
 _CHANNELS = 3
 
 

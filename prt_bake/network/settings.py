@@ -30,6 +30,8 @@ LIGHT_RAY_ORIGINS = ("x", "within")
 """Origins of the light rays: x itself, and the middle sample of the view ray."""
 EXIT_INPUTS = 3
 """Inputs that give the direction of the view ray after it has left the object; they are the last ones."""
+LEAST_LAYERS = 3
+"""Hidden layers of corrections, and the fewest of low bands (`prt_bake.network.low_bands`)."""
 
 
 @dataclass(frozen=True)
@@ -77,8 +79,8 @@ class NetworkSettings:
     low_width: int = 0
     """Width of the layers that predict the coefficients to degree 2 of a view (`prt_bake.network.low_bands`); 0: none.
     Needs light_layers."""
-    low_layers: int = 3
-    """Their hidden layers, at least 3."""
+    low_layers: int = LEAST_LAYERS
+    """Their hidden layers, at least LEAST_LAYERS."""
     correction_width: int = 0
     """Width of the layers that correct the bands to degree 2 of the values (`prt_bake.network.low_bands`); 0: none.
     Needs low_width."""
@@ -139,8 +141,8 @@ class NetworkSettings:
                 "network settings: low_width must not be negative, and must be 0 without light_layers; "
                 f"found {self.low_width}"
             )
-        if self.low_layers < 3:
-            raise ModelError(f"network settings: low_layers must be at least 3, found {self.low_layers}")
+        if self.low_layers < LEAST_LAYERS:
+            raise ModelError(f"network settings: low_layers must be at least {LEAST_LAYERS}, found {self.low_layers}")
         if self.correction_width < 0 or (self.correction_width and not self.low_width):
             raise ModelError(
                 "network settings: correction_width must not be negative, and must be 0 without low_width; "

@@ -50,6 +50,7 @@ class Run:
         self.low = getattr(model, "low", None)
         """The low bands before they are fitted, which the model lacks until then."""
         self.earlier_low = getattr(fit, "earlier_low", None)
+        """The low bands of the network to start from, which stay if they have less error."""
         self.low_seconds = 0.0
         if self.low is not None:
             model.set_low_bands(None)

@@ -40,7 +40,10 @@ class EncodedBatch(NamedTuple):
 
 
 class KeptFeatures:
-    """The inputs of a network's first layer for queries, float16 as in memory even if they are new."""
+    """The inputs of a network's first layer, for queries.
+
+    They are rounded to float16 even if they are not kept, so that no result depends on which ones are.
+    """
 
     def __init__(self, network: NeuralBSSRDF, queries: Traced, most: int = MOST_KEPT) -> None:
         """Keep the features of the first `most` queries as soon as they have been used."""
@@ -54,9 +57,8 @@ class KeptFeatures:
     def encode(self, chosen: Tensor) -> EncodedBatch:
         """The views of those of the queries `chosen` whose features are not kept yet; safe in any thread."""
         new = ~self._known[chosen]
-        return EncodedBatch(
-            chosen, new, encoded_views(self._network, self._queries, chosen[new]) if new.any() else None
-        )
+        views = encoded_views(self._network, self._queries, chosen[new]) if new.any() else None
+        return EncodedBatch(chosen, new, views)
 
     @torch.no_grad()
     def of(self, batch: EncodedBatch) -> Tensor:
