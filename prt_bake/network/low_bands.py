@@ -4,6 +4,9 @@ Bakes to degree 2 need these alone. The layers that see ωi learn them slowly, s
 mean of T · Y_lm(ω_exit) over the paths of a query is an unbiased estimate of its a_lm, so these layers fit nine numbers
 of each channel by least squares, without sampled directions.
 
+They also predict weights w_jl of lobes about axes v_j of the view, such as the normal: Σ_j w_jl Y_lm(v_j) is added to
+bands 1 and 2. These lobes turn with the surface, so that they need not be learned for every normal.
+
 Few directions suffice to evaluate them: Ŝ up to degree 2 is Σ a_lm Y_lm(ωi).
 
 Layers of the same kind correct the values of the layers that see ωi: Σ c_lm Y_lm(ωi) is added to them, where c_lm are
@@ -15,7 +18,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from prt_bake.network.settings import LEAST_LAYERS, NetworkSettings
+from prt_bake.network.settings import AXIS_LENGTH, LEAST_LAYERS, NetworkSettings
 
 LOW_DEGREE = 2
 LOW_COUNT = (LOW_DEGREE + 1) ** 2
@@ -23,13 +26,26 @@ _CHANNELS = 3
 
 
 class LowBands(nn.Module):
-    """Layers from the features of a view to its coefficients: SiLU, and the first output again before the third."""
+    """Layers from the features of a view to its coefficients: SiLU, and the first output again before the third.
 
-    def __init__(self, inputs: int, width: int, layers: int, generator: torch.Generator) -> None:
-        """Initial weights by He et al. 2015, drawn by `generator`; the initial coefficients are small."""
+    The output is added to lobes about axes that are among the features.
+    """
+
+    axis_columns: Tensor
+
+    def __init__(
+        self, inputs: int, width: int, layers: int, generator: torch.Generator, axes: tuple[int, ...] = ()
+    ) -> None:
+        """Initial weights by He et al. 2015, drawn by `generator`; the initial coefficients are small.
+
+        axes: the first of the three features of each axis, whose unit is AXIS_LENGTH.
+        """
         super().__init__()
-        self.hidden = nn.ModuleList(nn.Linear(n, m) for m, n in low_shapes(inputs, width, layers)[:-1])
-        self.output = nn.Linear(width, LOW_COUNT * _CHANNELS)
+        *hidden, output = low_shapes(inputs, width, layers, len(axes))
+        self.hidden = nn.ModuleList(nn.Linear(n, m) for m, n in hidden)
+        self.output = nn.Linear(width, output[0])
+        columns = torch.arange(3)[:, None] + torch.tensor(axes, dtype=torch.int64)
+        self.register_buffer("axis_columns", columns.flatten(), persistent=False)
         for layer in (*self.hidden, self.output):
             assert isinstance(layer, nn.Linear)
             gain = 0.1 if layer is self.output else 2.0
@@ -45,15 +61,28 @@ class LowBands(nn.Module):
         h = silu(self.hidden[2](torch.cat((h, first), dim=-1)))
         for layer in self.hidden[LEAST_LAYERS:]:
             h = silu(layer(h))
-        coefficients: Tensor = self.output(h).float()
-        return coefficients.reshape(-1, LOW_COUNT, _CHANNELS)
+        output: Tensor = self.output(h).float()
+        coefficients = output[:, : LOW_COUNT * _CHANNELS].reshape(-1, LOW_COUNT, _CHANNELS)
+        if not len(self.axis_columns):
+            return coefficients
+        axes = features.index_select(1, self.axis_columns).float().reshape(len(features), 3, -1) / AXIS_LENGTH
+        weights = output[:, LOW_COUNT * _CHANNELS :].reshape(len(features), LOW_DEGREE, -1, _CHANNELS)
+        return coefficients + _lobes(axes, weights)
+
+
+def _lobes(axes: Tensor, weights: Tensor) -> Tensor:
+    """Σ_j w_jl |v_j|^l Y_lm(v_j / |v_j|) [N,9,3], 0 in band 0, of axes v [N,3,J] and weights w [N,2,J,3]."""
+    xyz = axes.unbind(dim=1)
+    first = torch.stack(_first_band(*xyz), dim=1) @ weights[:, 0]
+    second = torch.stack(_second_band(*xyz), dim=1) @ weights[:, 1]
+    return torch.cat((torch.zeros_like(first[:, :1]), first, second), dim=1)
 
 
 def low_bands_of(settings: NetworkSettings, generator: torch.Generator) -> LowBands | None:
     """New low bands of a network; None if its settings leave them out."""
     if not settings.low_width:
         return None
-    return LowBands(settings.view_inputs, settings.low_width, settings.low_layers, generator)
+    return LowBands(settings.view_inputs, settings.low_width, settings.low_layers, generator, settings.axis_columns)
 
 
 def correction_of(settings: NetworkSettings, generator: torch.Generator) -> LowBands | None:
@@ -68,21 +97,29 @@ def correction_inputs(settings: NetworkSettings) -> int:
     return settings.view_inputs + settings.width
 
 
-def low_shapes(inputs: int, width: int, layers: int) -> tuple[tuple[int, int], ...]:
-    """(outputs, inputs) of the hidden `layers` and of the output."""
+def low_shapes(inputs: int, width: int, layers: int, axes: int = 0) -> tuple[tuple[int, int], ...]:
+    """(outputs, inputs) of the hidden `layers`, and of the output with lobes about `axes`."""
     more = ((width, width),) * (layers - LEAST_LAYERS)
-    return ((width, inputs), (width, width), (width, 2 * width), *more, (LOW_COUNT * _CHANNELS, width))
+    output = _CHANNELS * (LOW_COUNT + LOW_DEGREE * axes)
+    return ((width, inputs), (width, width), (width, 2 * width), *more, (output, width))
 
 
 def low_harmonics(directions: Tensor) -> Tensor:
     """Y_lm [...,9] of unit vectors [...,3] to degree 2, float32, in the order of `prt_bake.mathematics.sh`."""
     x, y, z = directions.float().unbind(dim=-1)
-    first, second = math.sqrt(0.75 / math.pi), math.sqrt(3.75 / math.pi)
     constant = torch.full_like(x, math.sqrt(0.25 / math.pi))
-    zonal = 0.25 * math.sqrt(5.0 / math.pi) * (3.0 * z * z - 1.0)
-    mixed = 0.5 * second * (x * x - y * y)
-    bands = constant, first * y, first * z, first * x, second * x * y, second * y * z, zonal, second * x * z, mixed
-    return torch.stack(bands, dim=-1)
+    return torch.stack((constant, *_first_band(x, y, z), *_second_band(x, y, z)), dim=-1)
+
+
+def _first_band(x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, ...]:
+    scale = math.sqrt(0.75 / math.pi)
+    return scale * y, scale * z, scale * x
+
+
+def _second_band(x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, ...]:
+    scale = math.sqrt(3.75 / math.pi)
+    zonal = 0.25 * math.sqrt(5.0 / math.pi) * (2.0 * z * z - x * x - y * y)
+    return scale * x * y, scale * y * z, zonal, scale * x * z, 0.5 * scale * (x * x - y * y)
 
 
 def low_radiance(coefficients: Tensor, harmonics: Tensor, degree: int) -> Tensor:

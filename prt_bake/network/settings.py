@@ -28,6 +28,10 @@ INPUTS_PER_CHANNEL = 2 * len(MATERIAL_BLURS)
 """The channel at x, and its mean along the view ray, with each blur."""
 LIGHT_RAY_ORIGINS = ("x", "within")
 """Origins of the light rays: x itself, and the middle sample of the view ray."""
+AXIS_LENGTH = 3.0
+"""Length of unit vectors among the inputs of a view, which otherwise have a mean square of ½."""
+DIRECTION_INPUTS = 6
+"""Inputs that give the directions of the view ray before and after it is refracted at x."""
 EXIT_INPUTS = 3
 """Inputs that give the direction of the view ray after it has left the object; they are the last ones."""
 LEAST_LAYERS = 3
@@ -81,6 +85,9 @@ class NetworkSettings:
     Needs light_layers."""
     low_layers: int = LEAST_LAYERS
     """Their hidden layers, at least LEAST_LAYERS."""
+    low_axes: bool = False
+    """Whether they predict lobes about axes of the view, too: its direction before and after refraction, the normal,
+    and the slopes of the shape. The two directions are then inputs. Needs ray_samples."""
     correction_width: int = 0
     """Width of the layers that correct the bands to degree 2 of the values (`prt_bake.network.low_bands`); 0: none.
     Needs low_width."""
@@ -143,6 +150,8 @@ class NetworkSettings:
             )
         if self.low_layers < LEAST_LAYERS:
             raise ModelError(f"network settings: low_layers must be at least {LEAST_LAYERS}, found {self.low_layers}")
+        if self.low_axes and not self.ray_samples:
+            raise ModelError("network settings: low_axes needs ray_samples; found 0")
         if self.correction_width < 0 or (self.correction_width and not self.low_width):
             raise ModelError(
                 "network settings: correction_width must not be negative, and must be 0 without low_width; "
@@ -231,9 +240,26 @@ class NetworkSettings:
         samples = self.ray_samples + 1 if self.ray_samples else 0
         shape = SHAPE_INPUTS * self.shape_places
         grid = 2 * self.grid_numbers if self.grid_places else 0
-        normal = 3 + COSINE_BUMPS if self.tells_normal else 0
         material = INPUTS_PER_CHANNEL * self.material_channels
-        return samples + shape + grid + normal + material + (EXIT_INPUTS if self.lobes else 0)
+        directions = DIRECTION_INPUTS if self.low_axes else 0
+        return samples + shape + grid + self.normal_inputs + directions + material + (EXIT_INPUTS if self.lobes else 0)
+
+    @property
+    def normal_inputs(self) -> int:
+        """Inputs of the first layer that give the normal, and its cosine to ωo."""
+        return 3 + COSINE_BUMPS if self.tells_normal else 0
+
+    @property
+    def axis_columns(self) -> tuple[int, ...]:
+        """The first of the three inputs of each axis of `low_axes`, among those of the first layer."""
+        if not self.low_axes:
+            return ()
+        first = (2 * self.grid_numbers if self.grid_places else 0) + 2 * self.features
+        shape = first + self.normal_inputs + self.ray_samples + 1
+        directions = shape + SHAPE_INPUTS * self.shape_places
+        slopes = range(shape + 1, directions, SHAPE_INPUTS // len(SHAPE_SCALES))
+        normal = (first,) if self.tells_normal else ()
+        return (*normal, *slopes, *range(directions, directions + DIRECTION_INPUTS, 3))
 
     @property
     def view_inputs(self) -> int:
@@ -318,6 +344,7 @@ PRESETS: dict[str, NetworkSettings] = {
         branches=16,
         low_width=128,
         low_layers=5,
+        low_axes=True,
         lobes=2,
         shape_places=4,
         grid_places=32,

@@ -3,7 +3,7 @@
 What the shape does to light is then known already, and only what the new material changes is learned.
 """
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import torch
 from torch import Tensor
@@ -11,7 +11,8 @@ from torch import Tensor
 from formats.errors import ModelError
 from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.network.features.feature_grid import FeatureGrid
-from prt_bake.network.settings import EXIT_INPUTS, INPUTS_PER_CHANNEL, NetworkSettings
+from prt_bake.network.low_bands import LowBands, low_bands_of
+from prt_bake.network.settings import DIRECTION_INPUTS, EXIT_INPUTS, INPUTS_PER_CHANNEL, NetworkSettings
 
 _MAY_DIFFER = {
     "interfaces",
@@ -19,14 +20,13 @@ _MAY_DIFFER = {
     "inner_bodies",
     "low_width",
     "low_layers",
+    "low_axes",
     "correction_width",
     "lobes",
     "material_channels",
     "grid_places",
 }
 """Settings that depend on the scene, and whose weights can be copied in part."""
-_FIRST_LAYERS = "hidden.0.weight", "low.hidden.0.weight"
-"""Their inputs are those of a view."""
 
 
 def start_from(network: NeuralBSSRDF, earlier: NeuralBSSRDF) -> None:
@@ -35,17 +35,16 @@ def start_from(network: NeuralBSSRDF, earlier: NeuralBSSRDF) -> None:
     Weights of inputs that only the new network has are 0, and learned features are interpolated at its nodes. Low bands
     of another depth begin anew. Raises ModelError if the layers differ otherwise, as between the presets.
     """
-    refuse_other_layers(network.settings, earlier.settings)
+    new, before = network.settings, earlier.settings
+    refuse_other_layers(new, before)
     network.output_scale = earlier.output_scale
     weights = {name: weight.detach().to(network.box_min.device) for name, weight in earlier.named_parameters()}
     with torch.no_grad():
         for name, weight in network.named_parameters():
-            if name not in weights or weights[name].shape[0] != weight.shape[0]:
+            if name.startswith("low.") or name not in weights or weights[name].shape[0] != weight.shape[0]:
                 continue
-            if name.startswith("low.") and network.settings.low_layers != earlier.settings.low_layers:
-                continue
-            if name in _FIRST_LAYERS:
-                _copy_columns(weight, weights[name], network.settings, earlier.settings)
+            if name == "hidden.0.weight":
+                _copy_columns(weight, weights[name], new, before)
             else:
                 # The last inputs of late layers are the cosines, which not all networks have.
                 columns = min(weight.shape[-1], weights[name].shape[-1])
@@ -53,6 +52,21 @@ def start_from(network: NeuralBSSRDF, earlier: NeuralBSSRDF) -> None:
                 weight[..., :columns] = weights[name][..., :columns]
         if network.view is not None and earlier.view is not None:
             _interpolate(network.view.grid, earlier.view.grid)
+    same_layers = (new.low_width, new.low_layers) == (before.low_width, before.low_layers)
+    if network.low is not None and earlier.low is not None and same_layers:
+        _copy_low_bands(network.low, earlier.low, new, before)
+
+
+def earlier_low_bands(new: NetworkSettings, earlier: NeuralBSSRDF) -> LowBands | None:
+    """The low bands of an earlier network, for the inputs of one with settings `new`; None if these lack some."""
+    before = earlier.settings
+    fewer_axes = before.low_axes and not new.low_axes
+    if earlier.low is None or fewer_axes or _columns(new)[2:] != _columns(before)[2:]:
+        return None
+    low = low_bands_of(replace(new, low_width=before.low_width, low_layers=before.low_layers), torch.Generator())
+    assert low is not None
+    _copy_low_bands(low, earlier.low, new, before)
+    return low
 
 
 def refuse_other_layers(new: NetworkSettings, earlier: NetworkSettings) -> None:
@@ -68,10 +82,25 @@ def refuse_other_layers(new: NetworkSettings, earlier: NetworkSettings) -> None:
 
 
 def _columns(settings: NetworkSettings) -> list[int]:
-    """Inputs of the first layer: those of every scene, of the material, and of the view ray's exit."""
+    """Inputs of the first layer: those of every network, directions, the material, and the view ray's exit."""
+    directions = DIRECTION_INPUTS if settings.low_axes else 0
     material = INPUTS_PER_CHANNEL * settings.material_channels
     leaving = EXIT_INPUTS if settings.lobes else 0
-    return [settings.view_inputs - material - leaving, material, leaving]
+    return [settings.view_inputs - directions - material - leaving, directions, material, leaving]
+
+
+@torch.no_grad()
+def _copy_low_bands(low: LowBands, before: LowBands, new: NetworkSettings, earlier: NetworkSettings) -> None:
+    """Copy low bands of the same depth; lobes about axes that only the new ones have are 0."""
+    weights = dict(before.named_parameters())
+    for name, weight in low.named_parameters():
+        if name == "hidden.0.weight":
+            _copy_columns(weight, weights[name], new, earlier)
+        elif weight.shape == weights[name].shape:
+            weight.copy_(weights[name])
+        else:
+            rows = min(len(weight), len(weights[name]))
+            weight.zero_()[:rows].copy_(weights[name][:rows])
 
 
 def _copy_columns(weight: Tensor, before: Tensor, new: NetworkSettings, earlier: NetworkSettings) -> None:

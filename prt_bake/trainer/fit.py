@@ -1,6 +1,5 @@
 """What a training fits: the neural BSSRDF, or another model that brings its own learner."""
 
-from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,7 +12,7 @@ from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF
 from prt_bake.network.inference.pairs import content_hash
 from prt_bake.network.low_bands import LowBands
 from prt_bake.network.model import TrainableModel
-from prt_bake.network.starting_weights import refuse_other_layers, start_from
+from prt_bake.network.starting_weights import earlier_low_bands, refuse_other_layers, start_from
 from prt_bake.tracer.prepared import interface_kind, is_unrefracted
 from prt_bake.tracer.surface.interface import ROUGH
 from prt_bake.trainer.interior import interior_of, is_clear, with_fitting_grid
@@ -83,8 +82,8 @@ class NetworkFit:
         network = network.to(self._device).on(self._scene.mesh)
         if self._start is not None:
             start_from(network, self._start)
-            if self._start.low is not None and self._start.settings.view_inputs == network.settings.view_inputs:
-                self.earlier_low = deepcopy(self._start.low).to(self._device)
+            low = earlier_low_bands(network.settings, self._start)
+            self.earlier_low = None if low is None else low.to(self._device)
         return network
 
     def learner(self, model: TrainableModel, learning: LearningSettings) -> Learner:
@@ -109,7 +108,7 @@ def settings_for(settings: NetworkSettings, scene: Scene) -> NetworkSettings:
     if len(scene.parts) == 1:
         settings = replace(settings, inner_bodies=False)
     if is_unrefracted(scene):
-        return replace(settings, tells_normal=False, interfaces=0, lobes=0, low_width=0)
+        return replace(settings, tells_normal=False, interfaces=0, lobes=0, low_width=0, low_axes=False)
     if not is_clear(scene, box_of(scene)):
         return replace(settings, interfaces=0, lobes=0)
     return settings if interface_kind(scene) == ROUGH else replace(settings, lobes=0)

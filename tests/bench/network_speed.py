@@ -80,7 +80,7 @@ def flop(network: NeuralBSSRDF) -> tuple[float, float]:
     """FLOP of one evaluation: of all layers, and of those evaluated for each of DIRECTIONS directions of a bin."""
     settings = network.settings
     if network.only_low:
-        shapes = low_shapes(settings.view_inputs, settings.low_width, settings.low_layers)
+        shapes = low_shapes(settings.view_inputs, settings.low_width, settings.low_layers, len(settings.axis_columns))
         work = 2 * sum(outputs * inputs for outputs, inputs in shapes) / DIRECTIONS
         return work, work
     shapes = settings.layer_shapes

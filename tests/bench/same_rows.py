@@ -52,6 +52,7 @@ VARIANTS = {
     "24 uniform directions, all rays from the first step": Variant({"spread": 24, "coarse_steps": 0}),
     "without low bands": Variant(network={"low_width": 0}),
     "without low bands, all rays from the first step": Variant({"coarse_steps": 0}, {"low_width": 0}),
+    "low bands without lobes": Variant(network={"low_axes": False}),
     "one pass of the low bands": Variant(passes=1),
     "four passes of the low bands": Variant(passes=4),
     "AdamW alone, all rays from the first step": Variant({"coarse_steps": 0, "muon": False}),

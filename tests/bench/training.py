@@ -39,6 +39,7 @@ PLAIN = replace(
     shape_places=0,
     grid_places=0,
     light_places=0,
+    low_axes=False,
 )
 """Features of the position alone, without the interior."""
 EARLY: dict[str, Any] = {"light_layers": 0, "low_width": 0, "angle_powers": 0, "skips": ((1, 3), (2, 4))}

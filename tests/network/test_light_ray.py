@@ -228,7 +228,7 @@ def test_light_places_must_be_even_and_need_a_ray(changes: dict[str, Any]) -> No
     with pytest.raises(
         ModelError, match="light_places must be even and not negative, and must be 0 without ray_samples"
     ):
-        replace(SETTINGS, tells_normal=False, **changes)
+        replace(SETTINGS, tells_normal=False, low_axes=False, **changes)
 
 
 def test_networks_without_light_places_have_no_pyramid() -> None:

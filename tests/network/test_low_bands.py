@@ -13,9 +13,11 @@ from formats.errors import ModelError
 from prt_bake.mathematics import sh
 from prt_bake.mathematics.sphere import fibonacci, uniform
 from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF, load_model, save_model
+from prt_bake.network.features.shape import MAX_SLOPE, SLOPE_SCALE
 from prt_bake.network.inference.pairs import pair_transport
-from prt_bake.network.low_bands import low_harmonics
-from prt_bake.network.starting_weights import start_from
+from prt_bake.network.low_bands import LowBands, low_harmonics
+from prt_bake.network.settings import AXIS_LENGTH
+from prt_bake.network.starting_weights import earlier_low_bands, start_from
 from tests.network import WITHOUT_MESH
 from tests.network.test_lobes import LOBED, glass_ball
 
@@ -96,6 +98,45 @@ def test_a_correction_changes_the_bands_to_degree_2_of_the_values(settings: Netw
     np.testing.assert_array_equal(coefficients(made), coefficients(plain))
 
 
+def test_lobes_are_those_of_harmonics_about_their_axes() -> None:
+    """Each band l of a lobe about an axis v is its weight times |v|^l Y_lm(v / |v|)."""
+    unit, lengths, weights = uniform(40, 6).reshape(20, 2, 3), np.array([1.0, 0.3]), uniform(4, 7).reshape(2, 2, 3)
+    low = LowBands(8, 4, 3, torch.Generator(), (2, 5))
+    with torch.no_grad():
+        for parameters in low.parameters():
+            parameters.zero_()
+        low.output.bias[27:] = torch.from_numpy(weights).flatten()
+    features = np.concatenate((np.ones((20, 2)), (AXIS_LENGTH * lengths[:, None] * unit).reshape(20, 6)), axis=1)
+    with torch.no_grad():
+        found = low(torch.from_numpy(features)).numpy()
+    expected, basis = np.zeros((20, 9, 3)), sh.evaluate(unit, 2)
+    for degree, rows in ((1, slice(1, 4)), (2, slice(4, 9))):
+        expected[:, rows] = np.einsum("njm,j,jc->nmc", basis[..., rows], lengths**degree, weights[degree - 1])
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"grid_places": 0}, {"shape_places": 1}, {"lobes": 0, "interfaces": 4}, {"tells_normal": False}]
+)
+def test_the_axes_are_directions_of_the_view_normal_and_slopes(changes: dict[str, int]) -> None:
+    settings = replace(SETTINGS, **({"lobes": 0} if "tells_normal" in changes else {}), **changes)
+    made = network(settings)
+    assert made.view is not None
+    assert made.low is not None
+    x, eye = torch.from_numpy(POSITIONS), torch.from_numpy(OUTGOING)
+    encoding = made.encode_views(x, eye)
+    assert encoding is not None
+    axes = made.view_features(x, eye, encoding)[:, made.low.axis_columns].reshape(12, 3, -1) / AXIS_LENGTH
+    normals = int(settings.tells_normal)
+    back = made.view.back(eye.float(), encoding.axes[:, 0]) if normals else eye.float()
+    assert axes.shape[2] == normals + 4 * settings.shape_places + 2 == len(settings.axis_columns)
+    torch.testing.assert_close(axes[..., -2:], torch.stack((eye.float(), back), dim=-1))
+    torch.testing.assert_close(axes[..., :normals], encoding.axes[:, :normals].transpose(1, 2))
+    scale = SLOPE_SCALE * MAX_SLOPE / AXIS_LENGTH
+    slopes = axes[..., normals : normals + 4].transpose(1, 2) / scale
+    torch.testing.assert_close(slopes, encoding.axes[:, normals : normals + 4], atol=1e-5, rtol=0.0)
+
+
 def test_a_transport_is_limited_by_its_own_methods() -> None:
     made = network()
     assert (up_to(made, 2).only_low, smooth(made, 2).only_low, smooth(made, 2).band) == (True, False, 2)
@@ -104,6 +145,7 @@ def test_a_transport_is_limited_by_its_own_methods() -> None:
 
 LIMITED: dict[str, Callable[[], NeuralBSSRDF]] = {
     "low bands": lambda: network().up_to(2),
+    "low bands without lobes": lambda: network(replace(SETTINGS, low_axes=False)).up_to(2),
     "corrected": corrected,
     "corrected, its lobes to degree 2": lambda: corrected().smooth(2),
     "corrected, without lobes": lambda: corrected(replace(SETTINGS, lobes=0)),
@@ -192,6 +234,26 @@ def test_low_bands_of_another_depth_begin_anew() -> None:
     assert drawn.settings == earlier.settings
 
 
+def test_low_bands_without_lobes_are_a_start_for_those_with_them() -> None:
+    earlier, new = network(replace(SETTINGS, low_axes=False)), network()
+    assert not np.allclose(coefficients(new), coefficients(earlier), rtol=0.1)
+    start_from(new, earlier)
+    np.testing.assert_allclose(coefficients(new), coefficients(earlier), atol=1e-6)
+
+
+@pytest.mark.parametrize("changes", [{}, {"low_layers": 3}, {"low_axes": False}, {"low_layers": 3, "low_axes": False}])
+def test_earlier_low_bands_are_the_same_function_of_the_inputs_of_a_new_network(changes: dict[str, int]) -> None:
+    earlier, new = network(replace(SETTINGS, **changes)), network()
+    new.set_low_bands(earlier_low_bands(new.settings, earlier))
+    np.testing.assert_allclose(coefficients(new), coefficients(earlier), atol=1e-6)
+
+
+def test_earlier_low_bands_need_their_inputs() -> None:
+    assert earlier_low_bands(SETTINGS, network(LOBED)) is None
+    assert earlier_low_bands(replace(SETTINGS, low_axes=False), network()) is None
+    assert earlier_low_bands(SETTINGS, network(replace(SETTINGS, lobes=0))) is None
+
+
 def test_deeper_low_bands_are_kept_in_files(tmp_path: Path) -> None:
     made = network(replace(SETTINGS, low_layers=4))
     assert made.low is not None
@@ -213,5 +275,7 @@ def test_settings_that_do_not_fit_are_refused() -> None:
         replace(SETTINGS, low_width=-1)
     with pytest.raises(ModelError, match="low_layers must be at least 3, found 2"):
         replace(SETTINGS, low_layers=2)
+    with pytest.raises(ModelError, match="low_axes needs ray_samples"):
+        NetworkSettings(low_axes=True)
     with pytest.raises(ModelError, match="correction_width must not be negative, and must be 0 without low_width"):
         replace(LOBED, correction_width=8)

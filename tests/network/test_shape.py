@@ -86,7 +86,7 @@ def test_torch_and_compiled_interpolation_match_scipy() -> None:
 
 @pytest.mark.parametrize(("places", "samples"), [(1, []), (2, [6]), (4, [2, 6, 10]), (5, [1, 4, 7, 10])])
 def test_shape_points_are_x_and_samples_of_the_ray(places: int, samples: list[int]) -> None:
-    wall, chosen = half_space(5.0), replace(SETTINGS, tells_normal=False, shape_places=places)
+    wall, chosen = half_space(5.0), replace(SETTINGS, tells_normal=False, low_axes=False, shape_places=places)
     view = features(wall, chosen)
     x = torch.from_numpy(RNG.uniform(0.3, 0.49, (30, 3))).float()
     eye = unit(30, 1).float()

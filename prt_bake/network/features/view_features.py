@@ -29,6 +29,7 @@ from prt_bake.network.features.refraction import normals, refracted_in, refracte
 from prt_bake.network.features.shape import MAX_SLOPE, SLOPE_SCALE, shape_grid, trilinear
 from prt_bake.network.features.view_path import PathSamples, PathTracer
 from prt_bake.network.settings import (
+    AXIS_LENGTH,
     COSINE_BUMPS,
     LIGHT_RAY_ORIGINS,
     SHAPE_INPUTS,
@@ -50,8 +51,6 @@ back inside takes other paths than the view ray."""
 _TYPICAL_LENGTH = 0.4
 """Typical length of a ray inside an object: opacities are inputs relative to that of this length."""
 _MIN_OPACITY = 1e-3
-_NORMAL_SCALE = 3.0
-"""Scale of normal and cosine among the other features, each of which has a mean square of ½."""
 _BUMP_WIDTH = 0.15
 _MIN_COSINE = 0.02
 """Minimum cosine of ωo at refraction: normals of grids are coarse, and directions behind them have no refraction."""
@@ -99,6 +98,7 @@ class ViewFeatures(nn.Module):
         self.torch_only = False
         self.interior, self._samples, self._has_normal = interior, settings.ray_samples, settings.tells_normal
         self._has_exit, self._has_shape = settings.lobes > 0, settings.shape_places > 0
+        self._has_directions = settings.low_axes
         spacing = self._samples / max(settings.shape_places - 1, 1)
         self._shape_at = [int(spacing * (place + 0.5)) for place in range(settings.shape_places - 1)]
         self._axes, self._sloped = settings.light_axes, settings.sloped_places
@@ -161,7 +161,7 @@ class ViewFeatures(nn.Module):
         if self._has_normal:
             normal = self._normal(x) if normals is None else self._completed(normals.float(), x)
             back = self.back(eye, normal)
-            parts += [_NORMAL_SCALE * normal, _NORMAL_SCALE * _bumps((normal * eye).sum(-1, keepdim=True))]
+            parts += [AXIS_LENGTH * normal, AXIS_LENGTH * _bumps((normal * eye).sum(-1, keepdim=True))]
             axes = normal[:, None]
         lengths, points, opacity, leaving = (path or self._straight)(x, back)
         weight = self._gain * opacity
@@ -172,6 +172,8 @@ class ViewFeatures(nn.Module):
             slopes = [by_place[:, place, :, 1:] / SLOPE_SCALE / MAX_SLOPE for place in self._sloped]
             axes = torch.cat((axes, *slopes), dim=1)
             parts.append(shape)
+        if self._has_directions:
+            parts += [AXIS_LENGTH * eye, AXIS_LENGTH * back]
         if self.interior.material is not None:
             parts += self._material(x, points)
         if self._has_exit:
