@@ -231,8 +231,8 @@ def _check_metadata(metadata: dict[str, Any]) -> None:
 def _check_size(settings: NetworkSettings, stored: int) -> None:
     """Refuse settings of a larger network than the `stored` numbers, before any memory is reserved for it."""
     if settings.layers + settings.low_layers <= stored:
-        lobes, axes = LOBE_PARAMETERS * settings.lobes * settings.width, len(settings.axis_columns)
-        low = low_shapes(settings.view_inputs, settings.low_width, settings.low_layers, axes)
+        lobes = LOBE_PARAMETERS * settings.lobes * settings.width
+        low = low_shapes(settings.view_inputs, settings.low_width, settings.low_layers)
         correction = low_shapes(correction_inputs(settings), settings.correction_width, LEAST_LAYERS)
         shapes = (*settings.layer_shapes, *low, *correction)
         if lobes + sum(outputs * inputs for outputs, inputs in shapes) <= stored:

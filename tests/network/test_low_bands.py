@@ -123,13 +123,14 @@ def test_the_axes_are_directions_of_the_view_normal_and_slopes(changes: dict[str
     made = network(settings)
     assert made.view is not None
     assert made.low is not None
-    x, eye = torch.from_numpy(POSITIONS), torch.from_numpy(OUTGOING)
+    x, eye = torch.from_numpy(0.5 + 0.45 * uniform(12, 1)), torch.from_numpy(OUTGOING)
     encoding = made.encode_views(x, eye)
     assert encoding is not None
     axes = made.view_features(x, eye, encoding)[:, made.low.axis_columns].reshape(12, 3, -1) / AXIS_LENGTH
     normals = int(settings.tells_normal)
     back = made.view.back(eye.float(), encoding.axes[:, 0]) if normals else eye.float()
     assert axes.shape[2] == normals + 4 * settings.shape_places + 2 == len(settings.axis_columns)
+    assert bool((back - eye).abs().amax(dim=1).gt(0.01).all()) == settings.tells_normal
     torch.testing.assert_close(axes[..., -2:], torch.stack((eye.float(), back), dim=-1))
     torch.testing.assert_close(axes[..., :normals], encoding.axes[:, :normals].transpose(1, 2))
     scale = SLOPE_SCALE * MAX_SLOPE / AXIS_LENGTH
@@ -249,9 +250,11 @@ def test_earlier_low_bands_are_the_same_function_of_the_inputs_of_a_new_network(
 
 
 def test_earlier_low_bands_need_their_inputs() -> None:
-    assert earlier_low_bands(SETTINGS, network(LOBED)) is None
-    assert earlier_low_bands(replace(SETTINGS, low_axes=False), network()) is None
-    assert earlier_low_bands(SETTINGS, network(replace(SETTINGS, lobes=0))) is None
+    settings = network().settings
+    assert earlier_low_bands(settings, network()) is not None
+    assert earlier_low_bands(settings, network(LOBED)) is None
+    assert earlier_low_bands(replace(settings, low_axes=False), network()) is None
+    assert earlier_low_bands(settings, network(replace(SETTINGS, lobes=0))) is None
 
 
 def test_deeper_low_bands_are_kept_in_files(tmp_path: Path) -> None:
