@@ -89,7 +89,8 @@ def correction_of(settings: NetworkSettings, generator: torch.Generator) -> LowB
     """New layers that correct the values of a network; None if its settings leave them out."""
     if not settings.correction_width:
         return None
-    return LowBands(correction_inputs(settings), settings.correction_width, LEAST_LAYERS, generator)
+    inputs, axes = correction_inputs(settings), settings.axis_columns
+    return LowBands(inputs, settings.correction_width, LEAST_LAYERS, generator, axes)
 
 
 def correction_inputs(settings: NetworkSettings) -> int:

@@ -33,8 +33,8 @@ _WIDTH = 96
 """Of the layers. With 64 they err by a third more than with 128 after equal steps; wider ones make larger files."""
 _MOST_STEPS = 20_000
 _DIRECTIONS = 64
-_MOST_VIEWS = 1 << 18
-"""Views that are kept, of some 1.3 kB each."""
+_MOST_VIEWS = 1 << 20
+"""Views that are kept, of some 1.3 kB each: together no more than the low bands have needed before."""
 _NEW = 0.5
 """Share of the fit in which views are new."""
 _TURN_STREAM = 0xC0

@@ -76,7 +76,7 @@ def test_the_network_gets_the_average_if_that_gains_anything(monkeypatch: pytest
         assert layers is not average
         with torch.no_grad():
             average.output.weight.zero_()
-            average.output.bias.copy_(share * targets)
+            average.output.bias.zero_()[:27] = share * targets
 
     monkeypatch.setattr(correction, "_differences", differences)
     monkeypatch.setattr(correction, "fit_layers", fit)
@@ -84,7 +84,7 @@ def test_the_network_gets_the_average_if_that_gains_anything(monkeypatch: pytest
     fit_correction(made, some_queries(100, 2), LearningSettings(), 0, 0)
     assert (made.correction is not None) == (share < 2.0)
     if made.correction is not None:
-        assert torch.equal(made.correction.output.bias, share * targets)
+        assert torch.equal(made.correction.output.bias[:27], share * targets)
 
 
 def test_nothing_else_changes() -> None:
