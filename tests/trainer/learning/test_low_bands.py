@@ -359,7 +359,7 @@ def test_a_short_run_keeps_the_low_bands_of_the_start(scene: Scene, layers: int,
     x, eye = torch.from_numpy(scene.mesh.positions), torch.from_numpy(scene.mesh.normals)
     with torch.no_grad():
         found, before = (some.low_coefficients(x, eye) for some in (made, start))
-    torch.testing.assert_close(found, before, rtol=1e-2, atol=1e-3 * float(before.abs().max()))
+    torch.testing.assert_close(found, before, rtol=1e-3, atol=2e-4 * float(before.abs().max()))
 
 
 def test_only_low_bands_needs_some_to_learn(scene: Scene, tmp_path: Path) -> None:
