@@ -12,7 +12,6 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 from formats.asset import read_asset
 from formats.atomic import create_folder, existing, storage_error
@@ -22,6 +21,7 @@ from formats.json_report import as_text
 from formats.mesh import Mesh
 from formats.version import program_version
 from prt_bake.export.light_pictures import light_picture
+from prt_bake.inspection.exported import glb_extras
 from prt_bake.shipped.examples import example
 
 PAGE = Path(__file__).parent / "page"
@@ -159,7 +159,7 @@ def _shown(path: Path) -> _Shown:
 
 
 def _shown_glb(path: Path) -> _Shown:
-    extras = _glb_extras(path)
+    extras = glb_extras(path)
     if extras is None:
         raise FormatError(
             f"{path}: has no coefficients (meshes[0].extras.prtbake); write it with: "
@@ -171,26 +171,6 @@ def _shown_glb(path: Path) -> _Shown:
             "use a newer version of prtbake"
         )
     return _Shown(str(extras.get("up", "y")), None, extras.get("quantity") != "radiance", ())
-
-
-def _glb_extras(path: Path) -> dict[str, Any] | None:
-    """Return `extras.prtbake` of the first mesh that has it; None if there is none, or the file is no GLB.
-
-    Raises FormatError if the file is truncated.
-    """
-    with open(path, "rb") as file:
-        head = file.read(20)
-        if head[:4] != b"glTF" or head[16:] != b"JSON":
-            return None
-        size, expected = path.stat().st_size, int.from_bytes(head[8:12], "little")
-        if size < expected:
-            raise FormatError(f"{path}: is truncated: has {size} bytes of {expected}; copy or export it again")
-        text = file.read(int.from_bytes(head[12:16], "little"))
-    try:
-        found = (mesh.get("extras", {}).get("prtbake") for mesh in json.loads(text)["meshes"])
-        return next((extras for extras in found if isinstance(extras, dict)), None)
-    except (ValueError, LookupError, AttributeError, TypeError):
-        return None
 
 
 def _add(files: dict[str, Content], name: str, content: Content) -> str:

@@ -6,14 +6,18 @@ from typing import Any
 from formats.mesh import Mesh, check_mesh, open_edges, read_mesh, signed_volume, texture_remark
 from formats.scene.units import NO_UNIT
 from prt_bake.geometry.shells import ambiguity
+from prt_bake.inspection.exported import glb_extras
 
 _USUAL_SIZE = 1.0
 """Metres. Larger glTF objects were probably not modelled in metres."""
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """Return sizes, bounds and topology; a closed mesh has no open edges and a volume."""
-    mesh = read_mesh(path, drop_flat_faces=True)
+    """Return sizes, bounds and topology; a closed mesh has no open edges and a volume.
+
+    Of an exported asset also what it states of itself, under "exported".
+    """
+    mesh, exported = read_mesh(path, drop_flat_faces=True), glb_extras(path)
     return {
         "vertices": len(mesh.positions),
         "faces": len(mesh.faces),
@@ -26,6 +30,7 @@ def describe(path: Path) -> dict[str, Any]:
         "volume": signed_volume(mesh),
         "texture coordinates": mesh.corner_uv is not None,
         "content hash": mesh.content_hash,
+        **({} if exported is None else {"exported": exported}),
     }
 
 

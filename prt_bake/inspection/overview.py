@@ -119,6 +119,26 @@ def _mesh(figures: Figures) -> dict[str, str]:
         "closed": f"yes, volume {volume:.4g}" if not open_edges else f"no, {open_edges} open edges",
         **{name: f"{figures[name]:,}" for name in repairs if figures[name]},
         "texture coordinates": "yes" if figures["texture coordinates"] else "no",
+        **_exported(figures.get("exported", {})),
+    }
+
+
+def _exported(extras: Figures) -> dict[str, str]:
+    """Return the lines of an exported asset; none of a plain mesh."""
+    if not extras:
+        return {}
+    error, light = extras.get("error"), extras.get("light_degree")
+    added = error.get("coefficients") if isinstance(error, Mapping) else None
+    under_any = extras.get("quantity") != "radiance"
+    return {
+        "kind": "exported asset: a mesh with baked light for engines and browsers, "
+        + ("under any light" if under_any else "under one light, which cannot change"),
+        "harmonics": f"degree {extras.get('view_degree')} of the view"
+        + (f", {light} of the light" if under_any else ""),
+        "error of the asset": str(extras.get("asset_error", "")),
+        "error of the export": f"{added:.1%} of the coefficients of the asset" if isinstance(added, float) else "",
+        "not in it": ", ".join(map(str, extras.get("left_out") or ())),
+        "written by": str(extras.get("generator", "")),
     }
 
 

@@ -352,7 +352,7 @@ class Preview:
 
     def _error(self, eye: ArrayLike) -> NDArray[np.float64]:
         """Return the standard error [V], rms over channels, relative to the object's rms radiance."""
-        from prt_bake.shading.radiance_error import radiance_error  # not needed by the first picture
+        from prt_bake.shading.errors.radiance import radiance_error  # not needed by the first picture
 
         radiance = self._radiance.draw(eye).astype(np.float64)
         signal = math.sqrt(float((radiance[self.asset.valid] ** 2).mean()))

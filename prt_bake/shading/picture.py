@@ -20,12 +20,12 @@ from prt_bake.geometry.camera import Camera, Visibility, rays, refuse_eye_in_obj
 from prt_bake.lights.lighting import Lighting, as_lighting
 from prt_bake.reflection.finish import Normals
 from prt_bake.shading.asset_light import AssetLight, prepare_light
+from prt_bake.shading.errors.picture import PictureError, view_error
+from prt_bake.shading.errors.radiance import interpolate_over_faces, radiance_error
+from prt_bake.shading.errors.vertices import vertex_error
 from prt_bake.shading.layers import make_layers
-from prt_bake.shading.picture_error import PictureError, view_error
-from prt_bake.shading.radiance_error import interpolate_over_faces, radiance_error
 from prt_bake.shading.sun_shading import SunTreatment
 from prt_bake.shading.surface_reflection import AssetReflection, reflects
-from prt_bake.shading.vertex_error import vertex_error
 from prt_bake.shading.vertices import Shading, corner_weights, light_coefficients, shade, shade_vertices
 from prt_bake.shading.visible_points import PixelMeans, VisiblePoints, find_visible_points, grid_offsets, row_blocks
 

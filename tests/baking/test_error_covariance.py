@@ -21,7 +21,7 @@ from formats.asset import Asset
 from formats.asset.error_covariance import ErrorCovariance, pairs
 from prt_bake import bake, compress
 from prt_bake.mathematics import sh
-from prt_bake.shading.radiance_error import radiance_error
+from prt_bake.shading.errors.radiance import radiance_error
 from prt_bake.shading.vertices import shade
 from tests.bakers.transports import Array, Lobed, icosphere
 from tests.shading.assets import asset_of

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from formats.asset import write_asset
 from formats.asset.total_error import ErrorInterval
@@ -12,7 +13,7 @@ from formats.errors import FormatError
 from formats.image import write_image
 from formats.mesh import build_mesh, write_mesh
 from formats.scene import read_scene
-from prt_bake import bake
+from prt_bake import bake, export_gltf
 from prt_bake.inspection import describe, find_faults, find_remarks, overview
 from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF, save_model
 from prt_bake.trainer.fit import metadata_of
@@ -46,6 +47,27 @@ def test_an_onnx_function_is_sound_and_named(tmp_path: Path) -> None:
     assert (lines["input"], lines["output"]) == ("x [n, 7] of float32", "y [rows, 3]")
     (fault,) = find_faults(onnx_file(path, [("x", FLOAT, ["n", 9])], [("y", FLOAT, ["n", 3])]))
     assert "expected one input [rows, 7], found x [n, 9]" in fault
+
+
+def test_an_exported_asset_states_its_errors(tmp_path: Path) -> None:
+    asset = dataclasses.replace(make_asset(ball(1)), network_error=ErrorInterval(0.06, 0.05, 0.08))
+    error = export_gltf(asset, tmp_path / "a.glb")
+    lines = overview(describe(tmp_path / "a.glb"))
+    assert lines["kind"] == "exported asset: a mesh with baked light for engines and browsers, under any light"
+    assert lines["error of the asset"] == str(asset.error)
+    assert lines["error of the export"] == f"{error.coefficients:.1%} of the coefficients of the asset"
+    assert lines["harmonics"] == "degree 3 of the view, 2 of the light"
+    trimesh.creation.box().export(tmp_path / "b.glb")
+    assert overview(describe(tmp_path / "b.glb"))["kind"] == "mesh"
+
+
+def test_other_programs_may_remove_what_an_exported_asset_states(tmp_path: Path) -> None:
+    trimesh.creation.box().export(tmp_path / "a.glb")
+    figures = describe(tmp_path / "a.glb") | {"exported": {"quantity": "radiance", "error": None, "left_out": None}}
+    lines = overview(figures)
+    assert lines["kind"].endswith("under one light, which cannot change")
+    assert "error of the export" not in lines
+    assert "error of the asset" not in lines
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,8 @@ from prt_bake.mathematics import sh
 from prt_bake.preview import colours, legend, reasons
 from prt_bake.preview.lights import LightSource
 from prt_bake.preview.state import Mode, Preview
+from prt_bake.shading.errors.radiance import radiance_error
 from prt_bake.shading.picture import shade
-from prt_bake.shading.radiance_error import radiance_error
 from tests.shading import reference
 from tests.shading.test_picture import constant, make_asset, painted_sky
 from tests.shapes import ball

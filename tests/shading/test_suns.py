@@ -18,8 +18,8 @@ from prt_bake.lights.sun_detection import WIDEST
 from prt_bake.mathematics import sh, sphere
 from prt_bake.mathematics.view_frames import ViewFrames
 from prt_bake.shading import vertices as vertex_shading
+from prt_bake.shading.errors.radiance import radiance_error
 from prt_bake.shading.picture import render_picture, shade, shade_vertices
-from prt_bake.shading.radiance_error import radiance_error
 from prt_bake.shading.sun_shading import interpolated_coefficients, sun_gradient, sun_radiance, suns_apart
 from tests.lights.test_suns import SUNNY, TURN, clouds, disc
 from tests.shading.test_picture import front, make_asset

@@ -63,8 +63,12 @@ def say_next_of_file(kind: str, file: Path) -> None:
     """Print the command that goes on with a mesh, a scene, a model or an asset, with what lies beside it already."""
     model, asset = file.with_suffix(".pt"), file.with_suffix(".h5")
     if kind == "mesh":
+        from prt_bake.inspection.exported import glb_extras
         from prt_bake.inspection.mesh import needs_a_size
 
+        if glb_extras(file) is not None:
+            say_next("prtbake", "export", file, "-o", unused(file.with_suffix("")))
+            return
         say_next("prtbake", "init", file, "--material", "jade", *(("--size", "10cm") if needs_a_size(file) else ()))
     elif kind == "scene" and not model.exists():
         say_next("prtbake", "train", file, "-o", model)

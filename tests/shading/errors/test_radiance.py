@@ -9,8 +9,8 @@ from bakers.error_covariance import packed
 from formats.asset import Asset
 from formats.asset.error_covariance import ErrorCovariance
 from prt_bake.mathematics import sphere
+from prt_bake.shading.errors.radiance import interpolate_over_faces
 from prt_bake.shading.picture import radiance_error, render_picture, shade
-from prt_bake.shading.radiance_error import interpolate_over_faces
 from tests.shading.test_picture import ball, constant, front, make_asset, make_light
 
 

@@ -8,7 +8,7 @@ import trimesh
 
 from formats.asset import Asset
 from formats.mesh import Mesh
-from prt_bake.shading.vertex_error import vertex_error
+from prt_bake.shading.errors.vertices import vertex_error
 from tests.shading.test_picture import make_asset
 from tests.shapes import ball
 

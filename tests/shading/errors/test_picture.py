@@ -8,9 +8,9 @@ import pytest
 from formats.asset.error_covariance import ErrorCovariance
 from formats.asset.total_error import ErrorInterval
 from prt_bake.mathematics import sphere
+from prt_bake.shading.errors.picture import PictureError, view_error
+from prt_bake.shading.errors.radiance import radiance_error
 from prt_bake.shading.picture import render_picture, shade
-from prt_bake.shading.picture_error import PictureError, view_error
-from prt_bake.shading.radiance_error import radiance_error
 from tests.shading.assets import asset_of
 from tests.shading.test_picture import constant, front, make_asset
 from tests.shading.test_surface_reflection import glossy
