@@ -3,7 +3,7 @@
 A query gives an unbiased estimate of its a_lm: the mean of T · Y_lm over the exits of all its walks. Tracing it takes
 longer than learning from it, so each is used several times. All queries are used equally often while the rate falls,
 which needs all of them to be known before: passes over those of a moving window learn much less
-(`docs/measurements/training.md`).
+(`docs/measurements/low_bands.md`).
 """
 
 import copy
