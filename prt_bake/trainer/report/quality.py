@@ -12,8 +12,8 @@ LEVELS = (
     (math.inf, "a rough impression"),
 )
 """Largest relative RMSE of a_lm for each use: pictures under a sky are off by about half of it."""
-_EXPONENT, _LATE_EXPONENT = 0.16, 0.1
-"""The error falls as minutes to the minus this power, first and after `_MANY` (docs/measurements/training.md)."""
+_EXPONENT, _LATE_EXPONENT = 0.2, 0.15
+"""The error falls as minutes to the minus this power, first and after `_MANY` (docs/measurements/low_bands.md)."""
 _MANY = 5e7
 """Walks."""
 _LIMITS = {"nerfactor": "more training would bring little: no BRDF has the light that comes through the object"}
