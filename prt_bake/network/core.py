@@ -209,10 +209,11 @@ class NetworkCore(TrainableModel):
         h = linear_of_parts(self.hidden[number - 1], [h, *skips, *more])
         return torch.relu(h) if self.settings.activation == "relu" else torch.nn.functional.silu(h)
 
-    def low_coefficients(self, positions: Tensor, outgoing: Tensor, encoding: ViewEncoding | None = None) -> Tensor:
-        """a_lm [N,9,3] to degree 2 over the output scale, of networks with low bands. encoding: as in `components`."""
+    def low_coefficients(self, positions: Tensor, outgoing: Tensor) -> Tensor:
+        """a_lm [N,9,3] to degree 2 over the output scale, of networks with low bands."""
         assert self.low is not None
-        return self.low.forward(self.view_features(positions, outgoing, encoding))
+        coefficients: Tensor = self.low(self.view_features(positions, outgoing))
+        return coefficients
 
     def view_features(self, positions: Tensor, outgoing: Tensor, encoding: ViewEncoding | None = None) -> Tensor:
         """Inputs of the first layer [N, settings.view_inputs] in float32, for a network whose late layers see ωi."""

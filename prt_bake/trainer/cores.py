@@ -29,7 +29,7 @@ def concurrent_threads(learner_share: float, device: str) -> Threads:
     if device != "cpu":
         return Threads(_numba_limit(cores), 1)
     learner = max(1, min(cores - 1, round(cores * learner_share)))
-    return Threads(_numba_limit(min(cores, cores - learner + 1)), learner)
+    return Threads(_numba_limit(cores - learner + 1), learner)
 
 
 def alternating_threads() -> Threads:

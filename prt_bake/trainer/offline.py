@@ -160,8 +160,8 @@ class FileRows:
     def stop(self) -> None:
         """Do nothing: no thread runs beside the learner."""
 
-    def draw(self, count: int, generator: np.random.Generator) -> Batch:
-        """The next `count` rows; `generator` is not used."""
+    def draw(self, count: int) -> Batch:
+        """The next `count` rows."""
         return self._shuffled.draw(count)
 
     def describe(self, number: int) -> str:

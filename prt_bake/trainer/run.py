@@ -112,7 +112,7 @@ class Run:
         threads_before = torch.get_num_threads()
         threads = self.data.learner_threads(self.learning, device)
         prefetching = 0 if self.synchronous or device != "cpu" else threads
-        prefetcher = Prefetcher(self.source, self.learner, self.generator, prefetching)
+        prefetcher = Prefetcher(self.source, self.learner, prefetching)
         torch.set_num_threads(threads)
         try:
             with self.learner.stream():

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from bakers.transport import up_to
 from formats.scene import Scene
 from prt_bake.mathematics import sh
-from prt_bake.mathematics.noise_free import Interval, Sums, relative_rmse
+from prt_bake.mathematics.noise_free import Interval, relative_rmse
 from prt_bake.mathematics.sphere import fibonacci
 from prt_bake.tracer.estimate import estimate_coefficients
 from prt_bake.tracer.prepared import PreparedScene, is_unrefracted, prepare, smooth_part
@@ -87,13 +87,6 @@ class HeldOutCoefficients:
         """sqrt(Σ|â − a|² / Σ|a|²) of a network's coefficients â, the reference's noise subtracted from both sums."""
         predicted = network_coefficients(network, self.positions, self.outgoing, self.directions)
         return noise_free_ratio(predicted, self.mean, self.standard_error)
-
-    def interval(self, network: Any) -> Interval:
-        """`relative_rmse` with its 95 % confidence interval, the queries being independent."""
-        predicted = network_coefficients(network, self.positions, self.outgoing, self.directions)
-        variance = self.standard_error**2
-        error, value = (predicted - self.mean) ** 2 - variance, self.mean**2 - variance
-        return relative_rmse(Sums(*(part.sum(axis=(1, 2)) for part in (error, value, variance))), FINAL_SEED)
 
     def scale(self) -> float:
         """The root mean square of the bands of Ŝ up to the second, a lower bound of that of Ŝ."""
@@ -261,7 +254,6 @@ def final_errors(
     prepared: PreparedScene,
     queries: int,
     walks: int,
-    seed: int = FINAL_SEED,
     device: Device = "cpu",
     seconds: float = math.inf,
     follow: Follow = silent,
@@ -278,13 +270,14 @@ def final_errors(
         def follow_values(done: float) -> None:
             follow(_VALUES_SHARE * done)
 
-        _queries, values = _traced_values(prepared, queries, 8, walks, seed, share * seconds, follow_values, network)
+        limit = share * seconds
+        _queries, values = _traced_values(prepared, queries, 8, walks, FINAL_SEED, limit, follow_values, network)
     left = max(0.0, seconds - (time.perf_counter() - begun))
 
     def follow_coefficients(done: float) -> None:
         follow(_VALUES_SHARE + (1.0 - _VALUES_SHARE) * done)
 
-    traced = _traced_coefficients(scene, queries, 8 * walks, seed, device, left, follow_coefficients, network)[1]
+    traced = _traced_coefficients(scene, queries, 8 * walks, FINAL_SEED, device, left, follow_coefficients, network)[1]
     error, of_values = _known_error(traced), None if values is None else _known_error(values)
     return FinalErrors(
         transport=None if of_values is None else of_values.value,

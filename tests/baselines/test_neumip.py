@@ -62,7 +62,7 @@ class KnownRows(RowSource):
         below = np.sum(outgoing * self.mesh.face_normals[faces], axis=1, keepdims=True) < 0.0
         return positions, np.where(below, -outgoing, outgoing), unit(generator.normal(size=(count, 8, 3)))
 
-    def draw(self, count: int, generator: np.random.Generator) -> Batch:
+    def draw(self, count: int) -> Batch:
         self.drawn += 1
         positions, outgoing, incident = self.views(count, self.drawn)
         values = known_transport(incident, positions, outgoing)
@@ -97,7 +97,7 @@ def learned(mesh: Mesh, exits: bool, steps: int, settings: NeuMIPSettings = SMAL
     source, generator = KnownRows(mesh, exits), np.random.default_rng(0)
     learner = NeuMIPLearner(model_of(mesh, settings), FAST, coverages, published)
     for step in range(steps):
-        learner.learn(source, source.draw(FAST.batch, generator), step / steps, generator)
+        learner.learn(source, source.draw(FAST.batch), step / steps, generator)
     return learner.result()
 
 
@@ -229,7 +229,7 @@ def test_untouched_texels_keep_their_features_and_touched_ones_are_averaged() ->
     source, generator = KnownRows(mesh, False), np.random.default_rng(0)
     learner = NeuMIPLearner(model, FAST, [cover(uv, np.asarray(mesh.faces, np.int64), 16)])
     for step in range(3):
-        learner.learn(source, source.draw(8, generator), step / 3, generator)
+        learner.learn(source, source.draw(8), step / 3, generator)
     touched = learner._touches > 0
     assert 0 < touched.sum() <= 3 * 8 * 4
     for table in (learner.network.table, learner.model.table):

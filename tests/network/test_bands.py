@@ -13,7 +13,7 @@ from prt_bake.mathematics import sh
 from prt_bake.mathematics.sphere import fibonacci, uniform
 from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.network.lobes import _bessel_ratios, decode_lobes, evaluate_lobes
-from prt_bake.trainer.report.evaluation import evaluated_coefficients
+from prt_bake.trainer.report.evaluation import Coefficients
 from prt_bake.trainer.validation import network_coefficients
 from tests.network import WITHOUT_MESH
 from tests.network.test_lobes import LOBED, glass_ball, lobe_parameters, lobed, unit
@@ -71,7 +71,7 @@ def test_few_directions_integrate_bands_exactly():
 
 def test_a_report_evaluates_bands_only():
     network, x, eye = lobes_alone()
-    found = evaluated_coefficients(network, x, eye[:, None], 0)[:, 0]
+    found = Coefficients(network, 0)(x, eye[:, None])[:, 0]
     assert relative(found, network_coefficients(network, x, eye, 4096)) < 1e-5
 
 

@@ -144,7 +144,7 @@ def test_a_renderer_that_is_ahead_pauses(scene):
             time.sleep(0.01)
         time.sleep(0.1)
         assert renderer.statistics().rows == 320  # half a buffer ahead, and the batch that exceeded it
-        renderer.draw(128, np.random.default_rng(0))
+        renderer.draw(128)
         while renderer.statistics().rows < 448:
             time.sleep(0.01)
     finally:
@@ -165,10 +165,9 @@ def test_a_learner_that_is_ahead_waits_for_new_rows(scene):
     renderer = BackgroundRenderer(tracer, stream, 1, least=64, reuse=1.5)
     renderer.start()
     try:
-        generator = np.random.default_rng(0)
-        assert len(renderer.draw(96, generator).rows) == 96
+        assert len(renderer.draw(96).rows) == 96
         threading.Timer(0.2, continued.set).start()
-        renderer.draw(1, generator)
+        renderer.draw(1)
         assert continued.is_set()
         assert renderer.statistics().rows > 64
     finally:
@@ -194,7 +193,7 @@ def test_a_renderer_that_is_ahead_traces_more_walks_per_query(rough_scene):
             time.sleep(0.01)
         assert walks == [3, 3, 3, 4, 5, 6, 7, 8, 9]
         for _ in range(80):
-            renderer.draw(64, np.random.default_rng(0))
+            renderer.draw(64)
         assert walks.count(3) > 20  # of 80 batches; it is ahead again whenever no rows are drawn
     finally:
         renderer.stop()
@@ -205,7 +204,7 @@ def test_a_buffer_smaller_than_a_batch_does_not_block(scene):
     stream = dataclasses.replace(STREAM, queries_a_batch=8, capacity=16, reuse=1)
     renderer = BackgroundRenderer(value_tracer(scene, stream), stream, 1, 16, reuse=1)
     renderer.start()
-    drawing = threading.Thread(target=lambda: [renderer.draw(200, np.random.default_rng(0)) for _ in range(3)])
+    drawing = threading.Thread(target=lambda: [renderer.draw(200) for _ in range(3)])
     drawing.start()
     drawing.join(20.0)
     blocked = drawing.is_alive()
@@ -347,7 +346,7 @@ def test_errors_of_the_renderer_reach_the_learner(scene):
     with pytest.raises(MemoryError, match="out of memory"):
         renderer.start()
     with pytest.raises(MemoryError, match="out of memory"):
-        renderer.draw(1, np.random.default_rng(0))
+        renderer.draw(1)
     renderer.stop()
 
 
@@ -376,8 +375,8 @@ def test_a_block_that_is_rendered_again_counts_once(scene):
     settings = StreamSettings(queries_a_batch=8, directions=2, walks=3)
     tracer = value_tracer(scene, settings)
     source = AlternatingRenderer(tracer, settings, threads=1, seed=0)
-    source.draw(20, np.random.default_rng(0))
+    source.draw(20)
     assert source.statistics()[:2] == (72, 24)
     resumed = AlternatingRenderer(tracer, settings, threads=1, seed=0, state=source.state())
-    resumed.draw(4, np.random.default_rng(0))
+    resumed.draw(4)
     assert resumed.statistics()[:2] == (72, 24)

@@ -107,4 +107,4 @@ def test_exits_are_learnt_with_any_number_of_uniform_directions(smooth):
     for spread in (1, 3):
         learner = Learner(NeuralBSSRDF(SMALL, *data.box, 0.1), dataclasses.replace(BRIEF, spread=spread))
         generator = np.random.default_rng(0)
-        assert np.isfinite(learner.learn(source, source.draw(100, generator), 0.5, generator))
+        assert np.isfinite(learner.learn(source, source.draw(100), 0.5, generator))

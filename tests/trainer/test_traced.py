@@ -82,7 +82,7 @@ def test_a_renderer_keeps_all_walks_of_each_query_once(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, lumpy(2), eta=1.3, sigma_t=0.2)
     prepared, stream = prepare(scene), StreamSettings(queries_a_batch=40, exits=16, kept=4, reuse=2)
     renderer = AlternatingRenderer(ExitTracer(prepared, box_of(scene), stream, 3), stream, 1, 3)
-    rows = renderer.draw(160, np.random.default_rng(0)).rows
+    rows = renderer.draw(160).rows
     assert renderer.traced is not None
     source = QuerySource(prepared, 1, 3, stream.face_share, stream.edge_share)
     exits = trace_exits(prepared, source, source.draw(0, 80), 16, 3)

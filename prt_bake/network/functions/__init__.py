@@ -1,7 +1,7 @@
 """Networks of other programs: TorchScript and ONNX files that map 7 numbers to 3.
 
-`convention.py` says what the 7 numbers are, `transport.py` makes a file a transport. May import: `formats`. Begin with
-`transport.py`. Names load when they are used.
+`convention.py` says what the 7 numbers are, `transport.py` makes a file a transport. May import:
+`prt_bake.mathematics` and `formats`. Begin with `transport.py`. Names load when they are used.
 """
 
 import lazy_loader

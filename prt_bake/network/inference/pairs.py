@@ -63,15 +63,13 @@ def content_hash(network: Any) -> str:
 
 
 class _PlainTransport:
-    """An object with `evaluate`."""
+    """An object with `evaluate`, whose rows are pairs already."""
 
     def __init__(self, transport: Any) -> None:
         self._transport = transport
 
-    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> NDArray[np.floating]:
+    def evaluate_pairs(self, incident: Array, positions: Array, outgoing: Array) -> NDArray[np.floating]:
         return np.asarray(self._transport.evaluate(incident, positions, outgoing))
-
-    evaluate_pairs = evaluate
 
 
 class PairNetwork(FusedNetwork):

@@ -106,8 +106,8 @@ class GpuRenderer:
         """End the threads that place queries."""
         self._pool.shutdown(cancel_futures=True)
 
-    def draw(self, count: int, generator: np.random.Generator) -> Any:
-        """The next `count` rows, the batch, on the GPU; `generator` is not used."""
+    def draw(self, count: int) -> Any:
+        """The next `count` rows, the batch, on the GPU."""
         if self._block is None or self._drawn == self._size:
             self._block, self._drawn = self._trace_block(), 0
         chosen = slice(self._drawn, self._drawn + count)
@@ -176,7 +176,7 @@ def compiled_renderer(
     """A renderer whose kernels are compiled."""
     trial = GpuRenderer(prepared, box, replace(settings, queries_a_batch=1), seed, 1, scene.normals, paths)
     trial.start()
-    trial.draw(1, np.random.default_rng(0))
+    trial.draw(1)
     trial.stop()
     return GpuRenderer(prepared, box, settings, seed, batch, scene.normals, paths, state)
 

@@ -121,12 +121,12 @@ def learning_rate(settings: LearningSettings, share: float) -> float:
     return settings.rate * rise * fall
 
 
-def optimizers_of(weights: list[nn.Parameter], layers: Any, settings: LearningSettings) -> list[torch.optim.Optimizer]:
-    """AdamW for weights, and Muon for those that are matrices of the hidden layers of `layers`."""
+def optimizers_of(layers: nn.Module, settings: LearningSettings) -> list[torch.optim.Optimizer]:
+    """Muon for the matrices of the hidden layers of `layers`, and AdamW for all their other weights."""
     hidden = getattr(layers, "hidden", ()) if settings.muon else ()
     matrices = [layer.weight for layer in hidden if isinstance(layer, nn.Linear)]
     chosen = set(map(id, matrices))
-    others = [part for part in weights if id(part) not in chosen]
+    others = [part for part in layers.parameters() if id(part) not in chosen]
     adam = torch.optim.AdamW(others, lr=settings.rate, betas=(0.9, 0.99), weight_decay=settings.decay)
     return [adam, Muon(matrices, settings.rate, settings.decay)] if matrices else [adam]
 
@@ -235,11 +235,11 @@ class Learner:
             # A run on a GPU keeps its rate there.
             group.update(lr=self.settings.rate, capturable=False, foreach=None)
         self.step = int(state["step"])
-        self.bfloat16 = bool(state.get("bfloat16", self.bfloat16))
+        self.bfloat16 = bool(state["bfloat16"])
 
     def _optimizers(self) -> list[torch.optim.Optimizer]:
         """The optimisers of all weights."""
-        return optimizers_of(list(self.network.parameters()), self.network, self.settings)
+        return optimizers_of(self.network, self.settings)
 
     def _average(self, share: float | Tensor) -> None:
         """Move the average towards the weights by a share of the way."""

@@ -106,7 +106,7 @@ def fit_layers(
 
     `average`, which begins with the same weights, becomes the running average.
     """
-    optimizers = optimizers_of(list(layers.parameters()), layers, settings)
+    optimizers = optimizers_of(layers, settings)
     step, begun = 0, time.perf_counter()
     while seconds > 0.0 and (share := max(step / most, (time.perf_counter() - begun) / seconds)) < 1.0:
         for group in (group for optimizer in optimizers for group in optimizer.param_groups):

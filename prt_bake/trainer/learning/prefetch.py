@@ -10,8 +10,6 @@ from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple, TypeVar
 
-import numpy as np
-
 from prt_bake.trainer.learning.learner import Learner
 from prt_bake.trainer.samples.rows import Batch, RowSource
 
@@ -29,9 +27,9 @@ class PreparedBatch(NamedTuple):
 class Prefetcher:
     """Hands batches of a source to a learner, in the source's order."""
 
-    def __init__(self, source: RowSource, learner: Learner, generator: np.random.Generator, threads: int) -> None:
+    def __init__(self, source: RowSource, learner: Learner, threads: int) -> None:
         """`threads` batches are prepared in advance; with 0 each batch is prepared when it is drawn."""
-        batches = (source.draw(learner.settings.batch, generator) for _ in itertools.count())
+        batches = (source.draw(learner.settings.batch) for _ in itertools.count())
         self._prepared = in_advance(lambda batch: PreparedBatch(batch, learner.encode_views(batch)), batches, threads)
 
     def draw(self) -> PreparedBatch:

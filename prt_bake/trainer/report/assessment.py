@@ -31,6 +31,8 @@ from prt_bake.trainer.report.summary import criteria, sentences
 Array = NDArray[np.float64]
 
 ASSESSMENT_SEED = 0xA55E55
+_WALKS = 64
+"""Initial walks per query. They are doubled until the noise is a third of the measured error."""
 _OUTLINE_POINTS = 1500
 _CELLS = 40
 _DECADES = 4.0
@@ -42,7 +44,6 @@ def assess(
     prepared: PreparedScene,
     *,
     queries: int = 1024,
-    walks: int = 64,
     seed: int = ASSESSMENT_SEED,
     history: Sequence[Sequence[float]] = (),
     seconds: float = 40.0,
@@ -56,8 +57,6 @@ def assess(
         network, scene, prepared: the network, bound to its mesh; its scene, as read and prepared for the path tracer.
         seed: seed of the queries, the vertices and the walks.
         queries, vertices: fresh queries over the surface, and vertices of the mesh that are evaluated from 8 sides.
-        walks: initial walks per query (four times as many for coefficients). They are doubled until the noise is a
-            third of the measured error.
         seconds: most seconds for the references and the predictions; fewer queries and vertices if they are too few.
         history: rows (seconds, walks, validation error) of the training.
         tracer: replaces the path tracer.
@@ -77,7 +76,7 @@ def assess(
         smooth=smooth,
         count=queries,
         directions=directions,
-        walks=walks,
+        walks=_WALKS,
         seed=seed,
         seconds=seconds,
         vertices=vertices,
@@ -103,7 +102,7 @@ def assess(
         "outline": _outline(prepared),
         "up": scene.up,
         "predicted_measured": _predicted_measured(evaluation),
-        "worst": _worst(evaluation, tracer, walks, seed),
+        "worst": _worst(evaluation, tracer, seed),
         "seams": _seams(network, evaluation, seed),
     }
     report["criteria"] = criteria(report, scene)
@@ -244,15 +243,15 @@ def _histogram(reference: Replicates, predictions: Array) -> dict[str, Any]:
     return {"log10_edges": _short(edges), "counts": counts.astype(int).tolist()}
 
 
-def _worst(evaluation: Evaluation, tracer: Tracer, walks: int, seed: int) -> dict[str, Any]:
+def _worst(evaluation: Evaluation, tracer: Tracer, seed: int) -> dict[str, Any]:
     """The worst values of Ŝ, measured again; of √(4π) a_00 if Ŝ has no values."""
-    queries, paths = evaluation.queries, max(64, walks)
+    queries = evaluation.queries
     positions = queries.location.positions
     if evaluation.transport is not None:
 
         def again(n: NDArray[Any], d: NDArray[Any], batch: int) -> Array:
             incident = queries.incident[n, d][:, None]
-            return tracer.transport(positions[n], queries.outgoing[n], incident, paths, seed + 7001 + batch)[:, 0]
+            return tracer.transport(positions[n], queries.outgoing[n], incident, _WALKS, seed + 7001 + batch)[:, 0]
 
         rows = breakdown.worst(_predicted(evaluation.transport), evaluation.transport.estimates, again)
     else:
@@ -261,7 +260,7 @@ def _worst(evaluation: Evaluation, tracer: Tracer, walks: int, seed: int) -> dic
         first = Replicates(estimates.count, white * estimates.mean[:, :1], white**2 * estimates.squares[:, :1])
 
         def again(n: NDArray[Any], d: NDArray[Any], batch: int) -> Array:
-            coefficients = tracer.coefficients(positions[n], queries.outgoing[n], 4 * paths, seed + 7001 + batch)
+            coefficients = tracer.coefficients(positions[n], queries.outgoing[n], 4 * _WALKS, seed + 7001 + batch)
             return np.asarray(white * coefficients[:, 0])
 
         rows = breakdown.worst(white * _predicted(evaluation.coefficients)[:, :1], first, again)

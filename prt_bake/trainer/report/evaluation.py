@@ -69,13 +69,8 @@ def above(rows: Array, normals: Array) -> Array:
     return np.asarray(np.where(cosine < 0.0, rows - 2.0 * cosine * normals, rows))
 
 
-def evaluated_coefficients(network: Any, positions: Array, outgoing: Array, seed: int) -> Array:
-    """a_lm [N,B,9,3] of a network at positions [N,3] for outgoing [N,B,3], by least squares over a lattice."""
-    return _Coefficients(network, seed)(positions, outgoing)
-
-
-class _Coefficients:
-    """The coefficients of a network, which is prepared once."""
+class Coefficients:
+    """The coefficients of a network, which is prepared once, by least squares over a lattice."""
 
     def __init__(self, network: Any, seed: int) -> None:
         rotations = directions.random_rotations(_ROTATIONS, seed + _ROTATION_STREAM)
@@ -85,6 +80,7 @@ class _Coefficients:
         self._network = network.prepared() if hasattr(network, "prepared") else network
 
     def __call__(self, positions: Array, outgoing: Array) -> Array:
+        """a_lm [N,B,9,3] at positions [N,3] for outgoing [N,B,3]."""
         count, views = outgoing.shape[:2]
         rotation = np.arange(count * views).reshape(count, views) % _ROTATIONS
         if hasattr(self._network, "evaluate_block"):
@@ -140,7 +136,7 @@ def evaluate(
     """
     drawn = QuerySource(prepared, directions, seed).draw(0, count)
     views = vertex_views(prepared, vertices, VIEWS, seed)
-    coefficients = _Coefficients(network, seed)
+    coefficients = Coefficients(network, seed)
     positions, outgoing = drawn.location.positions, drawn.outgoing
     begun = time.perf_counter()
 

@@ -111,7 +111,7 @@ class RowSource(Protocol):
     traced: "TracedQueries | None"
     """All queries so far, of sources of exits."""
 
-    def draw(self, count: int, generator: np.random.Generator) -> Batch:
+    def draw(self, count: int) -> Batch:
         """The next `count` rows; raises the error of a source that failed."""
 
     def describe(self, number: int) -> str:

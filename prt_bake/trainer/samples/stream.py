@@ -98,8 +98,8 @@ class BackgroundRenderer:
         self._stop.set()
         self._thread.join()
 
-    def draw(self, count: int, generator: np.random.Generator) -> Batch:
-        """The next `count` rows; `generator` is not used. Raises the thread's error."""
+    def draw(self, count: int) -> Batch:
+        """The next `count` rows. Raises the thread's error."""
         self._raise_error()
         while self._drawn >= self.reuse * self._rows and self._thread.is_alive():
             time.sleep(_POLL)

@@ -74,7 +74,7 @@ def test_light_that_crosses_unscattered_is_no_part_of_the_rows(tmp_path: Path) -
     prepared, box, stream = prepare(scene), box_of(scene), replace(STREAM, queries_a_batch=16)
     renderer = GpuRenderer(prepared, box, stream, 4, 16, "face", straight)
     renderer.start()
-    rows = numpy_of(renderer.draw(16, np.random.default_rng(0)).rows)
+    rows = numpy_of(renderer.draw(16).rows)
     renderer.stop()
     expected = ExitTracer(prepared, box, stream, 4).render(0, 16)
     assert np.mean(expected.rays[..., 3:].any(axis=-1)) < 0.5
@@ -87,7 +87,7 @@ def test_rows_are_those_of_the_processor_from_any_number_on(scene: Scene) -> Non
     begun = {"next_query": 64, "walks": 5, "rows": 6}
     renderer = GpuRenderer(prepared, box, STREAM, 4, 16, "face", network.packed_paths, begun)
     renderer.start()
-    parts = [renderer.draw(16, np.random.default_rng(0)) for _ in range(4)]
+    parts = [renderer.draw(16) for _ in range(4)]
     renderer.stop()
     tracer = ExitTracer(prepared, box, STREAM, 4)
     expected = tracer.render(64, 64)
@@ -202,7 +202,7 @@ def test_blocks_hold_whole_batches_and_no_row_is_left_out(scene: Scene, batch: i
     stream = replace(STREAM, queries_a_batch=5, exits=1, kept=1)
     renderer = GpuRenderer(prepare(scene), box_of(scene), stream, 4, batch, "face", straight)
     renderer.start()
-    numbers = np.concatenate([numpy_of(renderer.draw(batch, np.random.default_rng(0)).numbers) for _ in range(6)])
+    numbers = np.concatenate([numpy_of(renderer.draw(batch).numbers) for _ in range(6)])
     renderer.stop()
     assert_array_equal(numbers, np.arange(6 * batch))
 

@@ -85,12 +85,6 @@ def test_a_resumed_run_keeps_its_precision(began_with, monkeypatch):
     assert other.bfloat16 is began_with
 
 
-def test_a_state_without_precision_uses_the_machine_s(monkeypatch):
-    learner = learner_if(True, monkeypatch)
-    learner.restore({name: part for name, part in learner.state().items() if name != "bfloat16"})
-    assert learner.bfloat16
-
-
 @pytest.mark.parametrize(("faster", "expected"), [(True, "bfloat16"), (False, "float32")])
 def test_a_model_states_its_training_precision(tmp_path, faster, expected, monkeypatch):
     monkeypatch.setattr(learning, "bfloat16_is_faster", lambda device_type: faster)

@@ -29,7 +29,7 @@ class Numbered:
     def __init__(self, last: int = 1000) -> None:
         self.drawn, self.last = 0, last
 
-    def draw(self, count: int, generator: np.random.Generator) -> Batch:
+    def draw(self, count: int) -> Batch:
         if self.drawn >= self.last:
             raise QueryError("the source failed")
         own = np.random.default_rng(self.drawn)
@@ -63,7 +63,7 @@ def make_learner() -> Learner:
 def train_with(threads: int, encode: bool = True) -> tuple[list[Any], Numbered]:
     """The weights after 12 steps with `threads` prefetching threads, and the source."""
     learner, source, generator = make_learner(), Numbered(), np.random.default_rng(2)
-    prefetcher = Prefetcher(source, learner, np.random.default_rng(0), threads)
+    prefetcher = Prefetcher(source, learner, threads)
     for _ in range(12):
         batch, encoding = prefetcher.draw()
         learner.learn(source, batch, 0.5, generator, encoding if encode else None)
@@ -82,7 +82,7 @@ def test_weights_do_not_depend_on_prefetching() -> None:
 
 def test_several_threads_hand_over_every_row_once_in_order() -> None:
     source = Numbered()
-    prefetcher = Prefetcher(source, make_learner(), np.random.default_rng(0), 3)
+    prefetcher = Prefetcher(source, make_learner(), 3)
     batches = [prefetcher.draw() for _ in range(40)]
     prefetcher.stop()
     numbers = np.concatenate([prepared.batch.numbers for prepared in batches])
@@ -100,13 +100,13 @@ def test_prefetched_encodings_are_not_computed_again(monkeypatch: pytest.MonkeyP
     learner, source = make_learner(), Numbered()
     view = learner.network.view
     assert view is not None
-    batch, encoding = Prefetcher(source, learner, np.random.default_rng(0), 0).draw()
+    batch, encoding = Prefetcher(source, learner, 0).draw()
     monkeypatch.setattr(view, "_encode", lambda *views: pytest.fail("encoded again"))
     assert np.isfinite(learner.learn(source, batch, 0.5, np.random.default_rng(2), encoding))
 
 
 def test_stopping_ends_all_threads() -> None:
-    prefetcher = Prefetcher(Numbered(), make_learner(), np.random.default_rng(0), 2)
+    prefetcher = Prefetcher(Numbered(), make_learner(), 2)
     prefetcher.draw()
     assert any(thread.name.startswith("prtbake-prefetch") for thread in threading.enumerate())
     prefetcher.stop()
@@ -115,7 +115,7 @@ def test_stopping_ends_all_threads() -> None:
 
 @pytest.mark.parametrize("threads", [0, 1, 2])
 def test_errors_of_the_source_are_raised_when_drawing(threads: int) -> None:
-    prefetcher = Prefetcher(Numbered(last=3), make_learner(), np.random.default_rng(0), threads)
+    prefetcher = Prefetcher(Numbered(last=3), make_learner(), threads)
     for _ in range(3 - threads):
         prefetcher.draw()
     with pytest.raises(QueryError, match="the source failed"):
@@ -125,6 +125,6 @@ def test_errors_of_the_source_are_raised_when_drawing(threads: int) -> None:
 
 def test_networks_without_a_view_encoding_have_none_prefetched() -> None:
     learner = Learner(NeuralBSSRDF(SMALL, (0.0, 0.0, 0.0), 2.0), LEARNING)
-    prefetcher = Prefetcher(Numbered(), learner, np.random.default_rng(0), 1)
+    prefetcher = Prefetcher(Numbered(), learner, 1)
     assert prefetcher.draw().encoding is None
     prefetcher.stop()

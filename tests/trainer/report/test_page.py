@@ -36,7 +36,6 @@ def report(tmp_path_factory):
         scene,
         prepare(scene),
         queries=256,
-        walks=64,
         seconds=0.2,
         tracer=NoisyTruth(1.0),
         history=history,
