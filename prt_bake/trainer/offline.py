@@ -111,7 +111,7 @@ class SampleFileData:
         """The errors on the test samples and on fresh queries."""
         test = self._held_out(np.flatnonzero(self._split.test))
         count, walks = learning.held_out_queries, learning.held_out_walks
-        fresh = final_errors(network, self.scene, prepare(self.scene), count, walks, seconds=seconds, follow=follow)
+        fresh = final_errors(network, self.scene, count, walks, seconds=seconds, follow=follow)
         return {
             "test_relative_rmse": {"transport": test.relative_rmse(network), "transport_noise": relative_noise(test)},
             "relative_rmse": asdict(fresh),

@@ -6,7 +6,7 @@ from typing import Any, Literal, Protocol
 
 from formats.scene import Scene
 from prt_bake.network.model import TrainableModel
-from prt_bake.tracer.prepared import PreparedScene, prepare
+from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.cores import alternating_threads, available_cores, concurrent_threads
 from prt_bake.trainer.learning.learner import LearningSettings, continued
 from prt_bake.trainer.references import Follow
@@ -63,12 +63,12 @@ class PathTracedData:
         self.resume_settings = {"synchronous": synchronous, "samples": "", **fixed}
         self._stream, self._seed, self._synchronous, self._device = stream, seed, synchronous, device
         self.on_gpu = device == "cuda"
-        self._prepared: PreparedScene = prepare(scene)
+        prepare(scene)  # raises for bad scenes
 
     def reference(self, learning: LearningSettings, seconds: float, follow: Follow) -> Reference:
         """Path-traced queries of a separate seed."""
         count, walks = learning.held_out_queries, learning.held_out_walks
-        return validation_reference(self.scene, self._prepared, count, walks, self._device, seconds, follow)
+        return validation_reference(self.scene, count, walks, self._device, seconds, follow)
 
     def source(self, learning: LearningSettings, network: TrainableModel, state: dict[str, int] | None) -> RowSource:
         """A renderer whose kernel is compiled."""
@@ -78,11 +78,9 @@ class PathTracedData:
 
             assert isinstance(network, NeuralBSSRDF)
             paths = network.packed_paths
-            return compiled_renderer(
-                self.scene, self._prepared, self.box, self._stream, self._seed, learning.batch, paths, state
-            )
-        row_tracer(self.scene, self._prepared, self.box, self._stream, self._seed).render(0, 1)
-        tracer: RowTracer = row_tracer(self.scene, self._prepared, self.box, self._stream, self._seed)
+            return compiled_renderer(self.scene, self.box, self._stream, self._seed, learning.batch, paths, state)
+        row_tracer(self.scene, self.box, self._stream, self._seed).render(0, 1)
+        tracer: RowTracer = row_tracer(self.scene, self.box, self._stream, self._seed)
         if self._synchronous:
             return AlternatingRenderer(tracer, self._stream, alternating_threads().renderer, self._seed, state)
         device = network.box_min.device.type
@@ -103,9 +101,7 @@ class PathTracedData:
     ) -> dict[str, Any]:
         """Errors on fresh queries."""
         count, walks = learning.held_out_queries, learning.held_out_walks
-        found = final_errors(
-            network, self.scene, self._prepared, count, walks, device=self._device, seconds=seconds, follow=follow
-        )
+        found = final_errors(network, self.scene, count, walks, self._device, seconds, follow)
         return {"relative_rmse": asdict(found)}
 
 

@@ -200,7 +200,6 @@ def _batches(walks: int) -> tuple[int, int]:
 
 def validation_reference(
     scene: Scene,
-    prepared: PreparedScene,
     queries: int,
     walks: int,
     device: Device = "cpu",
@@ -209,7 +208,7 @@ def validation_reference(
 ) -> Reference:
     """The reference of the validation error: values, or coefficients where those cost a tenth."""
     if is_unrefracted(scene):
-        return hold_out(prepared, queries, 8, walks, VALIDATION_SEED, seconds, follow)
+        return hold_out(prepare(scene), queries, 8, walks, VALIDATION_SEED, seconds, follow)
     return hold_out_coefficients(
         scene, max(1, queries // 4), 8 * walks, VALIDATION_SEED, _VALIDATION_DIRECTIONS, device, seconds, follow
     )
@@ -251,7 +250,6 @@ class FinalErrors:
 def final_errors(
     network: Any,
     scene: Scene,
-    prepared: PreparedScene,
     queries: int,
     walks: int,
     device: Device = "cpu",
@@ -271,7 +269,7 @@ def final_errors(
             follow(_VALUES_SHARE * done)
 
         limit = share * seconds
-        _queries, values = _traced_values(prepared, queries, 8, walks, FINAL_SEED, limit, follow_values, network)
+        _queries, values = _traced_values(prepare(scene), queries, 8, walks, FINAL_SEED, limit, follow_values, network)
     left = max(0.0, seconds - (time.perf_counter() - begun))
 
     def follow_coefficients(done: float) -> None:

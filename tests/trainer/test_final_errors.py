@@ -8,7 +8,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from prt_bake.mathematics import sh
 from prt_bake.mathematics.noise_free import Interval
-from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer import validation
 from prt_bake.trainer.validation import final_errors
 from tests.trainer.small_training import make_scene
@@ -28,7 +27,7 @@ class Degree2:
 @pytest.mark.parametrize(("queries", "known"), [(4, False), (16, True)])
 def test_few_queries_have_no_interval(tmp_path: Path, queries: int, known: bool) -> None:
     scene = make_scene(tmp_path)
-    errors = final_errors(Degree2(np.zeros((queries, 9, 3))), scene, prepare(scene), queries, 8)
+    errors = final_errors(Degree2(np.zeros((queries, 9, 3))), scene, queries, 8)
     assert errors.coefficients == pytest.approx(1.0, abs=0.5)
     assert (errors.coefficients_interval is not None) == known
     if errors.coefficients_interval is not None:
@@ -40,5 +39,5 @@ def test_an_error_that_the_noise_hides_is_unknown(tmp_path: Path, monkeypatch: p
     """The noise is subtracted; if nothing is left, the error is not zero."""
     monkeypatch.setattr(validation, "relative_rmse", lambda *_: Interval(0.0, 0.0, 0.1))
     scene = make_scene(tmp_path)
-    errors = final_errors(Degree2(np.zeros((8, 9, 3))), scene, prepare(scene), 8, 8)
+    errors = final_errors(Degree2(np.zeros((8, 9, 3))), scene, 8, 8)
     assert (errors.transport, errors.coefficients, errors.coefficients_interval) == (None, None, None)

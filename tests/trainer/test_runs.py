@@ -124,11 +124,11 @@ def test_synchronous_runs_need_steps(scene):
 def test_rays_are_values_if_light_is_not_refracted_and_exits_otherwise(scene, rough_scene, tmp_path):
     smooth = make_scene(tmp_path, eta=1.4)
     for some, exits in ((scene, False), (rough_scene, True), (smooth, True)):
-        assert row_tracer(some, prepare(some), box_of(some), STREAM, 0).exits is exits
+        assert row_tracer(some, box_of(some), STREAM, 0).exits is exits
     values = dataclasses.replace(STREAM, rays="values")
-    assert not row_tracer(rough_scene, prepare(rough_scene), box_of(rough_scene), values, 0).exits
+    assert not row_tracer(rough_scene, box_of(rough_scene), values, 0).exits
     with pytest.raises(QueryError, match="is smooth, and Ŝ has no values"):
-        row_tracer(smooth, prepare(smooth), box_of(smooth), values, 0)
+        row_tracer(smooth, box_of(smooth), values, 0)
 
 
 def value_tracer(scene, stream=STREAM):
@@ -178,7 +178,7 @@ def test_a_learner_that_is_ahead_waits_for_new_rows(scene):
 def test_a_renderer_that_is_ahead_traces_more_walks_per_query(rough_scene):
     """It traces fewer while the learner waits, within the settings' bounds, and counts the walks that it traced."""
     stream = dataclasses.replace(STREAM, queries_a_batch=64, exits=9, least_exits=3, kept=4, capacity=1024)
-    tracer = row_tracer(rough_scene, prepare(rough_scene), Box(np.zeros(3), 1.0), stream, 0)
+    tracer = row_tracer(rough_scene, Box(np.zeros(3), 1.0), stream, 0)
     walks, render = [], tracer.render
 
     def recorded(first, count):

@@ -19,7 +19,7 @@ from formats.scene import Scene
 from prt_bake.network.low_bands import low_harmonics
 from prt_bake.tracer.gpu.device_functions import SIMULATED
 from prt_bake.tracer.gpu.exits import Exits, on_gpu
-from prt_bake.tracer.prepared import KernelQueries, PreparedScene
+from prt_bake.tracer.prepared import KernelQueries, PreparedScene, prepare
 from prt_bake.trainer.gpu.resampling import kernel_array, resampled
 from prt_bake.trainer.samples.queries import QuerySource
 from prt_bake.trainer.samples.resampling import resampling_offsets
@@ -165,7 +165,6 @@ class GpuRenderer:
 
 def compiled_renderer(
     scene: Scene,
-    prepared: PreparedScene,
     box: Box,
     settings: StreamSettings,
     seed: int,
@@ -174,6 +173,7 @@ def compiled_renderer(
     state: dict[str, int] | None,
 ) -> GpuRenderer:
     """A renderer whose kernels are compiled."""
+    prepared = prepare(scene)
     trial = GpuRenderer(prepared, box, replace(settings, queries_a_batch=1), seed, 1, scene.normals, paths)
     trial.start()
     trial.draw(1)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from formats.scene import Scene
 from prt_bake.mathematics.noise_free import Replicates, Sums
-from prt_bake.tracer.prepared import PreparedScene, is_unrefracted, smooth_part
+from prt_bake.tracer.prepared import PreparedScene, is_unrefracted, prepare, smooth_part
 from prt_bake.trainer.references import Follow, Traced, silent
 from prt_bake.trainer.report import breakdown, seams
 from prt_bake.trainer.report.error_figures import (
@@ -41,7 +41,6 @@ _DECADES = 4.0
 def assess(
     network: Any,
     scene: Scene,
-    prepared: PreparedScene,
     *,
     queries: int = 1024,
     seed: int = ASSESSMENT_SEED,
@@ -54,7 +53,7 @@ def assess(
     """Compare a network with the path tracer, and return the report's content as plain values.
 
     Args:
-        network, scene, prepared: the network, bound to its mesh; its scene, as read and prepared for the path tracer.
+        network, scene: the network, bound to its mesh, and its scene.
         seed: seed of the queries, the vertices and the walks.
         queries, vertices: fresh queries over the surface, and vertices of the mesh that are evaluated from 8 sides.
         seconds: most seconds for the references and the predictions; fewer queries and vertices if they are too few.
@@ -67,7 +66,7 @@ def assess(
     training = getattr(network, "metadata", {}).get("training", {})
     stream = training.get("stream", {})
     tracer = tracer or PathTracer(scene, int(stream.get("connections", 4)))
-    smooth = smooth_part(scene) is not None
+    prepared, smooth = prepare(scene), smooth_part(scene) is not None
     directions = int(stream.get("directions", 8))
     evaluation = evaluate(
         network,

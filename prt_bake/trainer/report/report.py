@@ -10,7 +10,6 @@ from formats.atomic import refuse_unwritable
 from formats.errors import ModelError, PrtbakeError
 from formats.scene import Scene
 from prt_bake.network.file_names import report_paths
-from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.references import Follow, silent
 from prt_bake.trainer.report.assessment import ASSESSMENT_SEED, assess
 from prt_bake.trainer.report.evaluation import VERTICES
@@ -69,7 +68,6 @@ def report_training(
     report = assess(
         bound,
         scene,
-        prepare(scene),
         queries=queries,
         seed=ASSESSMENT_SEED + seed,
         history=network.metadata.get("training", {}).get("validation_vs_time", []),

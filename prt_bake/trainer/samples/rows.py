@@ -22,7 +22,7 @@ from prt_bake.geometry.surface import Location
 from prt_bake.jit.threads import in_threads
 from prt_bake.mathematics.moments import SUMS, from_sums
 from prt_bake.tracer.light_samples import Exits
-from prt_bake.tracer.prepared import PreparedScene, is_unrefracted, smooth_part
+from prt_bake.tracer.prepared import PreparedScene, is_unrefracted, prepare, smooth_part
 from prt_bake.trainer.samples.queries import EDGE_SHARE, Queries, QuerySource
 
 if TYPE_CHECKING:
@@ -216,9 +216,7 @@ class ExitTracer:
         return query_description(self._source, number)
 
 
-def row_tracer(
-    scene: Scene, prepared: PreparedScene, box: Box, settings: StreamSettings, seed: int
-) -> ValueTracer | ExitTracer:
+def row_tracer(scene: Scene, box: Box, settings: StreamSettings, seed: int) -> ValueTracer | ExitTracer:
     """The tracer of the rays that `settings` choose; raises QueryError for values behind a smooth interface."""
     smooth = smooth_part(scene)
     if settings.rays == "values" and smooth is not None:
@@ -227,7 +225,7 @@ def row_tracer(
             "it; use rays='exits'"
         )
     values = settings.rays == "values" or (settings.rays == "auto" and is_unrefracted(scene))
-    return (ValueTracer if values else ExitTracer)(prepared, box, settings, seed)
+    return (ValueTracer if values else ExitTracer)(prepare(scene), box, settings, seed)
 
 
 def build_batch(

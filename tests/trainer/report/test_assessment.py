@@ -8,7 +8,6 @@ from scipy.stats import binom
 from formats.mesh import build_mesh
 from prt_bake.mathematics import sh
 from prt_bake.mathematics.sphere import fibonacci
-from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer import references
 from prt_bake.trainer.report.assessment import assess
 from prt_bake.trainer.report.evaluation import Coefficients
@@ -79,7 +78,6 @@ def assess_function(function, scene, seed=1, noise=1.0, queries=96, vertices=48)
     return assess(
         Network(function),
         scene,
-        prepare(scene),
         queries=queries,
         vertices=vertices,
         seed=seed,
@@ -238,7 +236,7 @@ def test_the_white_sky_error_of_a_white_box_agrees_with_theory(tmp_path):
         value = 1.02 * (1.0 - np.exp(-chord(positions, outgoing))) / (4.0 * np.pi)
         return np.broadcast_to(value[..., None], incident.shape)
 
-    found = assess(Network(above), scene, prepare(scene), queries=64, vertices=64, seed=3, seconds=np.inf)
+    found = assess(Network(above), scene, queries=64, vertices=64, seed=3, seconds=np.inf)
     found = found["white_sky"]
     width = found["object"]["high"] - found["object"]["low"]
     # 95 % intervals at 2.3 times their width miss the truth once in 100,000 times.
@@ -260,7 +258,7 @@ def test_a_path_traced_network_has_the_error_of_its_noise(tmp_path):
             noise.append(np.sum((halves[0] - halves[1]) ** 2) / 4 / np.sum(halves[0] * halves[1]))
             return 1.05 * 0.5 * (halves[0] + halves[1])
 
-    found = assess(Traced(), scene, prepare(scene), queries=64, vertices=16, seed=3, seconds=np.inf)
+    found = assess(Traced(), scene, queries=64, vertices=16, seed=3, seconds=np.inf)
     expected = np.sqrt(0.05**2 + 1.05**2 * noise[0])
     assert found["transport"]["network"]["low"] * 0.85 < expected < found["transport"]["network"]["high"] * 1.15
 

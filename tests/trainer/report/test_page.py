@@ -13,7 +13,6 @@ from formats.errors import StorageError
 from prt_bake.cli.main import main
 from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF, save_model
 from prt_bake.network.file_names import report_paths
-from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.report.assessment import assess
 from prt_bake.trainer.report.page import training_page, write_training_report
 from prt_bake.trainer.report.picture import SUNS, picture_summary, sun_text
@@ -34,7 +33,6 @@ def report(tmp_path_factory):
     return assess(
         network,
         scene,
-        prepare(scene),
         queries=256,
         seconds=0.2,
         tracer=NoisyTruth(1.0),
