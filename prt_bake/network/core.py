@@ -212,8 +212,7 @@ class NetworkCore(TrainableModel):
     def low_coefficients(self, positions: Tensor, outgoing: Tensor) -> Tensor:
         """a_lm [N,9,3] to degree 2 over the output scale, of networks with low bands."""
         assert self.low is not None
-        coefficients: Tensor = self.low(self.view_features(positions, outgoing))
-        return coefficients
+        return self.low.forward(self.view_features(positions, outgoing))
 
     def view_features(self, positions: Tensor, outgoing: Tensor, encoding: ViewEncoding | None = None) -> Tensor:
         """Inputs of the first layer [N, settings.view_inputs] in float32, for a network whose late layers see ωi."""
