@@ -8,8 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from prt_bake.cli.shared.next_step import say_next_of_asset
+from prt_bake import export_gltf
+from prt_bake.cli.shared.next_step import say_next_of_asset, say_next_of_file
 from tests.cli.command_line import Run
+from tests.shading.test_picture import make_asset
+from tests.shapes import ball
 
 SMALL = ("--rings", "1", "--sectors", "2", "--samples", "18")
 
@@ -42,6 +45,12 @@ def test_a_picture_that_exists_is_not_the_next_one(tmp_path: Path, capsys: pytes
     (tmp_path / "a.png").write_text("")
     say_next_of_asset(tmp_path / "a.h5")
     assert str(tmp_path / "a.png") not in _next(capsys.readouterr().err)
+
+
+def test_an_exported_asset_becomes_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    export_gltf(make_asset(ball(1)), tmp_path / "a.glb")
+    say_next_of_file("mesh", tmp_path / "a.glb")
+    assert _next(capsys.readouterr().err) == ["export", str(tmp_path / "a.glb"), "-o", str(tmp_path / "a")]
 
 
 @pytest.mark.parametrize("installed", [True, False])
