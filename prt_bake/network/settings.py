@@ -102,6 +102,9 @@ class NetworkSettings:
     material_channels: int = 0
     """Most channels of the material that are inputs (`features.material`); 0: none. A network's settings have the
     number of channels of its interior."""
+    material_parts: int = 0
+    """Parts of the view ray, each with as many samples, along which the means of these channels are inputs, too. They
+    show where along the ray the material is which."""
     light_places: int = 0
     """Points along light rays at which the late layers see the object's occupancy, half of them on the ray from x and
     half on the ray from within (`features.light_ray`). Needs ray_samples."""
@@ -184,6 +187,11 @@ class NetworkSettings:
             raise ModelError(
                 f"network settings: material_channels must be from 0 to {MOST_CHANNELS}, found {self.material_channels}"
             )
+        if self.material_parts < 0 or (self.material_parts and self.ray_samples % self.material_parts):
+            raise ModelError(
+                f"network settings: material_parts must divide ray_samples ({self.ray_samples}) or be 0, "
+                f"found {self.material_parts}"
+            )
         uneven = self.light_places % len(LIGHT_RAY_ORIGINS)
         if self.light_places < 0 or uneven or (self.light_places and not self.ray_samples):
             raise ModelError(
@@ -240,7 +248,7 @@ class NetworkSettings:
         samples = self.ray_samples + 1 if self.ray_samples else 0
         shape = SHAPE_INPUTS * self.shape_places
         grid = 2 * self.grid_numbers if self.grid_places else 0
-        material = INPUTS_PER_CHANNEL * self.material_channels
+        material = (INPUTS_PER_CHANNEL + self.material_parts) * self.material_channels
         directions = DIRECTION_INPUTS if self.low_axes else 0
         return samples + shape + grid + self.normal_inputs + directions + material + (EXIT_INPUTS if self.lobes else 0)
 
@@ -349,6 +357,7 @@ PRESETS: dict[str, NetworkSettings] = {
         shape_places=4,
         grid_places=32,
         material_channels=MOST_CHANNELS,
+        material_parts=4,
         light_places=16,
         light_cosines=True,
         inner_bodies=True,

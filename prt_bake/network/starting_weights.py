@@ -24,6 +24,7 @@ _MAY_DIFFER = {
     "correction_width",
     "lobes",
     "material_channels",
+    "material_parts",
     "grid_places",
 }
 """Settings that depend on the scene, and whose weights can be copied in part."""
@@ -61,7 +62,10 @@ def earlier_low_bands(new: NetworkSettings, earlier: NeuralBSSRDF) -> LowBands |
     """The low bands of an earlier network, for the inputs of one with settings `new`; None if these lack some."""
     before = earlier.settings
     fewer_axes = before.low_axes and not new.low_axes
-    if earlier.low is None or fewer_axes or _columns(new)[2:] != _columns(before)[2:]:
+    fewer_parts = before.material_parts not in (0, new.material_parts)
+    *_, material, _parts, leaving = _columns(new)
+    *_, material_before, _parts, leaving_before = _columns(before)
+    if earlier.low is None or fewer_axes or fewer_parts or (material, leaving) != (material_before, leaving_before):
         return None
     low = low_bands_of(replace(new, low_width=before.low_width, low_layers=before.low_layers), torch.Generator())
     assert low is not None
@@ -82,11 +86,12 @@ def refuse_other_layers(new: NetworkSettings, earlier: NetworkSettings) -> None:
 
 
 def _columns(settings: NetworkSettings) -> list[int]:
-    """Inputs of the first layer: those of every network, directions, the material, and the view ray's exit."""
+    """Inputs of the first layer: those of every network, directions, the material, its parts, and the ray's exit."""
     directions = DIRECTION_INPUTS if settings.low_axes else 0
-    material = INPUTS_PER_CHANNEL * settings.material_channels
+    material, in_parts = (count * settings.material_channels for count in (INPUTS_PER_CHANNEL, settings.material_parts))
     leaving = EXIT_INPUTS if settings.lobes else 0
-    return [settings.view_inputs - directions - material - leaving, directions, material, leaving]
+    others = directions, material, in_parts, leaving
+    return [settings.view_inputs - sum(others), *others]
 
 
 @torch.no_grad()

@@ -20,9 +20,9 @@ from prt_bake.trainer.samples.rows import Box
 
 Array = NDArray[np.float64]
 
-MOST_BYTES = 98_304
-"""Byte budget of the material in a model file."""
-_FINEST = 64
+MOST_BYTES, MOST_ROWS = 98_304, 1 << 17
+"""Budgets of the material: bytes in a model file, and nodes, which take time when it is loaded."""
+_FINEST = 96
 """Nodes per box side where they fit, and where the interior's grid is as fine."""
 _COARSER = 0.85
 _SURFACE_SAMPLES = 200_000
@@ -35,7 +35,7 @@ _LEAST_RANGE = 0.02
 
 
 def material_of(bodies: list[Part], box: Box, interior: Interior, reach: float) -> Material | None:
-    """The channels that vary at the nodes along view rays of length `reach`, on the finest grid within MOST_BYTES.
+    """The channels that vary at the nodes along view rays of length `reach`, on the finest grid within the budgets.
 
     bodies: those of the interior, in its order. None if nothing varies within any of them. Where one body ends and
     another begins is no part of it: view rays show that.
@@ -45,16 +45,24 @@ def material_of(bodies: list[Part], box: Box, interior: Interior, reach: float) 
     per_side = min(_FINEST, int(1.0 / interior.spacing))
     while True:
         nodes = np.argwhere(kept_places(interior, per_side, reach))
-        channels = _channels(bodies, box, interior, np.array(interior.corner) + nodes / per_side)
-        low, high = channels.min(axis=0), channels.max(axis=0)
-        varies = high - low > _LEAST_RANGE
-        if not varies.any():
-            return None
-        steps = np.rint((channels - low)[:, varies] * (STEPS / (high - low)[varies]))
-        material = Material(per_side, steps.astype(np.uint8))
-        if len(material.packed()) <= MOST_BYTES:
-            return material
+        if len(nodes) <= MOST_ROWS:
+            material = _sampled(bodies, box, interior, per_side, nodes)
+            if material is None or len(material.packed()) <= MOST_BYTES:
+                return material
         per_side = int(per_side * _COARSER)
+
+
+def _sampled(
+    bodies: list[Part], box: Box, interior: Interior, per_side: int, nodes: NDArray[np.int64]
+) -> Material | None:
+    """The channels that vary at nodes [K,3]; None if none does."""
+    channels = _channels(bodies, box, interior, np.array(interior.corner) + nodes / per_side)
+    low, high = channels.min(axis=0), channels.max(axis=0)
+    varies = high - low > _LEAST_RANGE
+    if not varies.any():
+        return None
+    steps = np.rint((channels - low)[:, varies] * (STEPS / (high - low)[varies]))
+    return Material(per_side, steps.astype(np.uint8))
 
 
 def _varies(part: Part) -> bool:

@@ -8,7 +8,7 @@ from copy import deepcopy
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -32,15 +32,25 @@ Progress = Callable[[TrainingProgress], None]
 Part = Callable[[str, float], None]
 
 
+class Request(NamedTuple):
+    """The length of a run, the file of its model, and functions that follow it: see `prt_bake.trainer.train`."""
+
+    steps: int | None
+    budget: Budget | None
+    output: str | Path | None
+    progress: Progress
+    part: Part
+    stop: Callable[[], bool]
+
+
 class Run:
     """One training run: its data, its learner and its progress."""
 
-    def __init__(
-        self, data: TrainingData, fit: Fit, learning: LearningSettings, seed: int, budget: Budget | None, part: Part
-    ) -> None:
+    def __init__(self, data: TrainingData, fit: Fit, learning: LearningSettings, seed: int, request: Request) -> None:
         """Trace the validation queries, and make the model and its learner."""
-        self.data, self.learning, self.seed = data, learning, seed
-        self.budget, self.part, self.scene = budget, part, data.scene
+        self.data, self.learning, self.seed, self.scene = data, learning, seed, data.scene
+        self.steps, self.budget, self.output, self.progress, self.part, self.stop = request
+        budget, part = self.budget, self.part
         self.resume_settings = {**fit.resume_settings, "seed": seed, "muon": learning.muon, **data.resume_settings}
         self.synchronous = bool(self.resume_settings["synchronous"])
         self.reference = data.reference(
@@ -62,14 +72,14 @@ class Run:
         """Seconds of learning of the complete run, if it ends by time."""
         self.stopped = False
         self.source: RowSource | None = None
-        self._stop: Callable[[], bool] = lambda: False
         self.traced_state: dict[str, Any] | None = None
         self.source_state: dict[str, int] | None = None
         self.history: list[TrainingProgress] = []
 
-    def restore(self, output: str | Path) -> None:
-        """Continue from the checkpoint beside `output`."""
-        state = read_state(output, self.scene.content_hash, self.resume_settings)
+    def restore(self) -> None:
+        """Continue from the checkpoint beside the output."""
+        assert self.output is not None
+        state = read_state(self.output, self.scene.content_hash, self.resume_settings)
         for network in (self.learner.network, self.learner.model):
             network.output_scale = float(state["output_scale"])
         self.learner.restore(state["learner"])
@@ -78,10 +88,10 @@ class Run:
         self.traced_state = state["queries"]
         self.history = [TrainingProgress(**report) for report in state["history"]]
 
-    def nothing_left(self, steps: int | None) -> bool:
+    def nothing_left(self) -> bool:
         """Whether a resumed run had the requested length."""
-        if steps is not None:
-            return self.learner.step >= steps
+        if self.steps is not None:
+            return self.learner.step >= self.steps
         return self.budget is not None and self.budget.learning(self.seconds) <= 0.0
 
     def state(self) -> dict[str, Any]:
@@ -100,12 +110,9 @@ class Run:
             "history": [asdict(report) for report in self.history],
         }
 
-    def learn(
-        self, steps: int | None, output: str | Path | None, progress: Progress | None, stop: Callable[[], bool]
-    ) -> None:
+    def learn(self) -> None:
         """Learn until the end of the run, or until it is stopped."""
         device = self.learner.network.box_min.device.type
-        self._stop = stop
         self.source = self.data.source(self.learning, self.learner.network, self.source_state)
         if self.traced_state is not None and self.source.traced is not None:
             self.source.traced.restore(self.traced_state, self.learner.network.box_min.device)
@@ -116,7 +123,7 @@ class Run:
         torch.set_num_threads(threads)
         try:
             with self.learner.stream():
-                self._learn(self.source, prefetcher, steps, output, progress, stop)
+                self._learn(self.source, prefetcher)
         except KeyboardInterrupt:
             if self.learner.step == 0:
                 raise
@@ -126,15 +133,7 @@ class Run:
             prefetcher.stop()
             torch.set_num_threads(threads_before)
 
-    def _learn(
-        self,
-        source: RowSource,
-        prefetcher: Prefetcher,
-        steps: int | None,
-        output: str | Path | None,
-        progress: Progress | None,
-        stop: Callable[[], bool],
-    ) -> None:
+    def _learn(self, source: RowSource, prefetcher: Prefetcher) -> None:
         before = self.seconds
         self._set_length(before)
         first, begun = True, time.perf_counter()
@@ -142,9 +141,9 @@ class Run:
         meter = Meter(source.statistics())
         source.start()
         meter.add_wait(meter.seconds)
-        self.part("learning", self.share(steps))
-        while (share := self.share(steps)) < 1.0:
-            if stop():
+        self.part("learning", self.share)
+        while (share := self.share) < 1.0:
+            if self.stop():
                 raise KeyboardInterrupt
             requested = time.perf_counter()
             batch, encoding = prefetcher.draw()
@@ -156,14 +155,14 @@ class Run:
             first = False
             self.seconds = before + time.perf_counter() - begun
             if meter.seconds > self.learning.report_every:
-                self._report(meter, self.share(steps), source, progress)
+                self._report(meter, self.share, source)
                 meter = Meter(source.statistics())
-            if output is not None and time.perf_counter() - saved > self.learning.checkpoint_every:
-                self.save(output)
+            if time.perf_counter() - saved > self.learning.checkpoint_every:
+                self.save()
                 saved = time.perf_counter()
         self.learner.check(source)
         if not meter.empty:
-            self._report(meter, 1.0, source, progress)
+            self._report(meter, 1.0, source)
 
     def _set_length(self, before: float) -> None:
         """Set the length of a run by time that has learned for `before` seconds: low bands are fitted after it."""
@@ -176,36 +175,37 @@ class Run:
         traced = self.source is not None and self.source.traced is not None
         return low_bands.SHARE_OF_TIME + correction.SHARE_OF_TIME if traced and self.low is not None else 0.0
 
-    def share(self, steps: int | None) -> float:
+    @property
+    def share(self) -> float:
         """The share of the run that is over, by steps if given, else by time."""
-        if steps is not None:
-            return self.learner.step / steps
+        if self.steps is not None:
+            return self.learner.step / self.steps
         return self.seconds / self.length if self.length > 0.0 else 1.0
 
-    def _report(self, meter: Meter, share: float, source: RowSource, progress: Progress | None) -> None:
+    def _report(self, meter: Meter, share: float, source: RowSource) -> None:
         validation = self.reference.relative_rmse(self.learner.model)
         consumed = self.learner.step * self.learning.batch
         report = meter.progress(self.seconds, self.learner.step, share, consumed, source.statistics(), validation)
         self.history.append(report)
-        if progress is not None:
-            progress(report)
+        self.progress(report)
 
-    def save(self, output: str | Path) -> None:
-        """Write the model and its checkpoint."""
+    def save(self) -> None:
+        """Write the model and its checkpoint, unless the run has no file."""
+        if self.output is None:
+            return
         assert self.source is not None
         self.learner.check(self.source)
-        save_model(self.learner.model, output)
-        write_state(output, self.state())
+        save_model(self.learner.model, self.output)
+        write_state(self.output, self.state())
 
-    def finish(self, steps: int | None, output: str | Path | None) -> TrainableModel:
+    def finish(self) -> TrainableModel:
         """Fit the low bands and measure the final errors unless the run was stopped, and write the model.
 
         A KeyboardInterrupt ends the fit or the measurement, and keeps what was learned.
         """
         assert self.source is not None
-        if output is not None:  # the rest takes long and may be interrupted
-            self.save(output)
-        network = self._with_low_bands(self.learner.result(), steps)
+        self.save()  # the rest takes long and may be interrupted
+        network = self._with_low_bands(self.learner.result())
         seconds, walks = self.seconds + self.low_seconds, self.source.statistics().walks
         errors = [[report.seconds, report.walks, report.validation] for report in every_tenth(self.history)]
         if self.low_seconds > 0.0:
@@ -228,11 +228,11 @@ class Run:
         except KeyboardInterrupt:
             self.stopped = True
         training["stopped"] = self.stopped
-        if output is not None:
-            save_model(network, output)
+        if self.output is not None:
+            save_model(network, self.output)
         return network
 
-    def _with_low_bands(self, network: Any, steps: int | None) -> TrainableModel:
+    def _with_low_bands(self, network: Any) -> TrainableModel:
         """The network with low bands that are fitted to all queries of the run.
 
         It keeps those of an earlier network, or has none, if that has less error.
@@ -244,30 +244,31 @@ class Run:
         fitted.set_low_bands(self.low)
         before.set_low_bands(deepcopy(self.earlier_low))
         try:
-            self._fit_low_bands(fitted, steps)
+            self._fit_low_bands(fitted)
         except KeyboardInterrupt:
             self.stopped = True
         chosen: Any = min((network, before.rounded(), fitted.rounded()), key=self.reference.relative_rmse)
         try:
-            self._fit_correction(chosen, steps)
+            self._fit_correction(chosen)
         except KeyboardInterrupt:
             self.stopped = True
         rounded: TrainableModel = chosen.rounded()
         return rounded
 
-    def _fit_low_bands(self, network: Any, steps: int | None) -> None:
+    def _fit_low_bands(self, network: Any) -> None:
         """Fit the network's low bands to all queries."""
-        fit_steps = None if steps is None else low_bands.STEPS_A_STEP * self.learner.step
-        self._fit(partial(low_bands.fit_low_bands, network), fit_steps, 0.0, _LOW_BANDS)
+        self._fit(partial(low_bands.fit_low_bands, network), low_bands.STEPS_A_STEP, 0.0, _LOW_BANDS)
 
-    def _fit_correction(self, network: Any, steps: int | None) -> None:
+    def _fit_correction(self, network: Any) -> None:
         """Correct the values of a network by its low bands, if it has any."""
         if network.low is not None:
-            fit_steps = None if steps is None else correction.STEPS_A_STEP * self.learner.step
-            self._fit(partial(correction.fit_correction, network), fit_steps, _LOW_BANDS, 1.0)
+            self._fit(partial(correction.fit_correction, network), correction.STEPS_A_STEP, _LOW_BANDS, 1.0)
 
-    def _fit(self, fit: Callable[..., None], steps: int | None, begin: float, end: float) -> None:
-        """Run a fit to all queries of the run, from one share of the time that is for such fits to another."""
+    def _fit(self, fit: Callable[..., None], steps_a_step: int, begin: float, end: float) -> None:
+        """Run a fit to all queries of the run, from one share of the time that is for such fits to another.
+
+        A run that ends by steps has `steps_a_step` of the fit for each of them.
+        """
         assert self.source is not None
         queries = None if self.source.traced is None else self.source.traced.joined()
         if self.stopped or queries is None:
@@ -276,13 +277,14 @@ class Run:
 
         def follow(over: float) -> None:
             self.part("low bands", begin + (end - begin) * over)
-            if self._stop():
+            if self.stop():
                 raise KeyboardInterrupt
 
         threads_before, begun = torch.get_num_threads(), time.perf_counter()
         torch.set_num_threads(self.data.learner_threads(self.learning, self.learner.network.box_min.device.type))
         threads = 0 if self.synchronous else available_cores()
         seconds = (end - begin) / (1.0 - begin) * left
+        steps = None if self.steps is None else steps_a_step * self.learner.step
         try:
             fit(queries, self.learning, self.seed, threads, steps=steps, seconds=seconds, follow=follow)
         finally:

@@ -24,7 +24,7 @@ from prt_bake.trainer.history import TrainingProgress
 from prt_bake.trainer.learning.learner import LearningSettings
 from prt_bake.trainer.offline import SampleFileData
 from prt_bake.trainer.resume import require_state, seconds_of
-from prt_bake.trainer.run import Part, Progress, Run
+from prt_bake.trainer.run import Part, Progress, Request, Run
 from prt_bake.trainer.samples.rows import StreamSettings
 from prt_bake.trainer.scene_warnings import training_warning
 from prt_bake.trainer.training_data import PathTracedData, TrainingData, learning_for, stream_for
@@ -183,6 +183,7 @@ def train_model(
     timed = (budget or Budget(minutes)) if steps is None else None
     if timed is not None and resume and output is not None:
         timed.earlier = seconds_of(output)
+    request = Request(steps, timed, output, progress or (lambda state: None), follow, stop or (lambda: False))
     chosen = select_device(device)
     if warning := training_warning(scene):
         report(f"{scene.path}: {warning}")
@@ -200,15 +201,14 @@ def train_model(
                 walks = max(renderer.exits, _MANY_WALKS)
                 renderer = replace(renderer, exits=walks, least_exits=walks)
             data = PathTracedData(scene, renderer, seed, synchronous, walking)
-        run = Run(data, make(data, chosen), learning or learning_for(data, started), seed, timed, follow)
+        run = Run(data, make(data, chosen), learning or learning_for(data, started), seed, request)
         if resume:
-            assert output is not None
-            run.restore(output)
-            if run.nothing_left(steps):
+            run.restore()
+            if run.nothing_left():
                 report(
                     f"{output}: nothing is left to learn: it already had {run.learner.step} steps in "
                     f"{run.seconds / 60.0:.3g} minutes of learning, which the requested length includes; request more"
                 )
         report(f"learning; the validation error is that of {QUANTITIES[run.reference.quantity]}")
-        run.learn(steps, output, progress, stop or (lambda: False))
-        return run.finish(steps, output)
+        run.learn()
+        return run.finish()

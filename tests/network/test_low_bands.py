@@ -16,10 +16,11 @@ from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF, load_model, s
 from prt_bake.network.features.shape import MAX_SLOPE, SLOPE_SCALE
 from prt_bake.network.inference.pairs import pair_transport
 from prt_bake.network.low_bands import LowBands, low_harmonics
-from prt_bake.network.settings import AXIS_LENGTH
+from prt_bake.network.settings import AXIS_LENGTH, MOST_CHANNELS
 from prt_bake.network.starting_weights import earlier_low_bands, start_from
 from tests.network import WITHOUT_MESH
 from tests.network.test_lobes import LOBED, glass_ball
+from tests.network.test_material import ramps, with_material
 
 pytestmark = WITHOUT_MESH
 
@@ -255,6 +256,21 @@ def test_earlier_low_bands_need_their_inputs() -> None:
     assert earlier_low_bands(settings, network(LOBED)) is None
     assert earlier_low_bands(replace(settings, low_axes=False), network()) is None
     assert earlier_low_bands(settings, network(replace(SETTINGS, lobes=0))) is None
+
+
+@pytest.mark.parametrize(("before", "now"), [(0, 4), (4, 4), (4, 0), (4, 2)])
+def test_earlier_low_bands_may_lack_the_parts_of_the_ray(before: int, now: int) -> None:
+    """They keep their values then; parts that only they have, or that are others, are refused."""
+    interior, settings = with_material(ramps), replace(SETTINGS, material_channels=MOST_CHANNELS)
+    earlier, new = (
+        NeuralBSSRDF(replace(settings, material_parts=parts), (0.0, 0.0, 0.0), 1.0, 1.0, interior=interior)
+        for parts in (before, now)
+    )
+    found = earlier_low_bands(new.settings, earlier)
+    assert (found is None) == (before not in (0, now))
+    if found is not None:
+        new.set_low_bands(found)
+        np.testing.assert_allclose(coefficients(new), coefficients(earlier), atol=1e-6)
 
 
 def test_deeper_low_bands_are_kept_in_files(tmp_path: Path) -> None:

@@ -19,7 +19,9 @@ from prt_bake.network.settings import INPUTS_PER_CHANNEL, MATERIAL_BLURS, MOST_C
 from tests.network.test_interior import RAY_SETTINGS, half_space, unit
 
 PER_SIDE = 8
-SETTINGS = replace(RAY_SETTINGS, tells_normal=False, material_channels=MOST_CHANNELS)
+PARTS = 3
+SETTINGS = replace(RAY_SETTINGS, tells_normal=False, material_channels=MOST_CHANNELS, material_parts=PARTS)
+PER_CHANNEL = INPUTS_PER_CHANNEL + PARTS
 RNG = np.random.default_rng(17)
 
 
@@ -51,22 +53,24 @@ def features_of(interior: Interior) -> ViewFeatures:
 
 def inputs(view: ViewFeatures, x: torch.Tensor, eye: torch.Tensor) -> np.ndarray:
     """The inputs that come from the material, which are the last ones of these networks."""
-    return view.encode(x, eye).features[:, -INPUTS_PER_CHANNEL * view.interior.channels :].numpy()
+    return view.encode(x, eye).features[:, -PER_CHANNEL * view.interior.channels :].numpy()
 
 
-def test_inputs_are_the_values_at_x_and_their_means_along_the_ray() -> None:
+def test_inputs_are_the_values_at_x_and_their_means_along_the_ray_and_its_parts() -> None:
     """Of linear channels, without blur, up to one factor and one constant for each channel."""
     view = features_of(with_material(ramps))
     x = torch.from_numpy(RNG.uniform(0.1, 0.4, (50, 3))).float()
     eye = torch.nn.functional.normalize(unit(50).float() + torch.tensor([0.0, 0.0, 2.0]), dim=1)
     found, blurs = inputs(view, x, eye), len(MATERIAL_BLURS)
-    points = view.encode(x, eye).points.mean(dim=1)
+    points = view.encode(x, eye).points
+    thirds = points.reshape(50, PARTS, -1, 3).mean(dim=2)
     for channel in range(2):
-        at_x, along = found[:, channel], found[:, 2 * blurs + channel]
+        at_x, along, in_parts = found[:, channel], found[:, 2 * blurs + channel], found[:, 4 * blurs + channel :: 2]
         factor, constant = np.polyfit(x[:, channel].numpy(), at_x, 1)
         assert factor > 1.0
         np.testing.assert_allclose(at_x, factor * x[:, channel].numpy() + constant, atol=1e-4)
-        np.testing.assert_allclose(along, factor * points[:, channel].numpy() + constant, atol=1e-4)
+        np.testing.assert_allclose(along, factor * points.mean(dim=1)[:, channel].numpy() + constant, atol=1e-4)
+        np.testing.assert_allclose(in_parts, factor * thirds[..., channel].numpy() + constant, atol=1e-4)
 
 
 def test_channels_have_mean_0_and_the_same_variance() -> None:
@@ -106,7 +110,7 @@ def test_the_compiled_values_are_torch_s() -> None:
 def test_a_network_without_a_material_has_no_such_inputs() -> None:
     network = NeuralBSSRDF(SETTINGS, interior=half_space())
     assert network.settings.material_channels == 0
-    assert network.settings.view_inputs == SETTINGS.view_inputs - INPUTS_PER_CHANNEL * MOST_CHANNELS
+    assert network.settings.view_inputs == SETTINGS.view_inputs - PER_CHANNEL * MOST_CHANNELS
 
 
 def test_more_channels_than_the_settings_allow_are_refused() -> None:
@@ -114,6 +118,12 @@ def test_more_channels_than_the_settings_allow_are_refused() -> None:
         NeuralBSSRDF(replace(SETTINGS, material_channels=2), interior=with_material(random_steps))
     with pytest.raises(ModelError, match=r"material_channels must be from 0 to 8, found 9"):
         replace(SETTINGS, material_channels=9)
+
+
+@pytest.mark.parametrize("parts", [-1, 5])
+def test_parts_divide_the_samples_of_the_ray(parts: int) -> None:
+    with pytest.raises(ModelError, match=rf"material_parts must divide ray_samples \(12\) or be 0, found {parts}"):
+        replace(SETTINGS, material_parts=parts)
 
 
 @pytest.mark.parametrize("suffix", [".pt", ".safetensors"])

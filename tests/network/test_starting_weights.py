@@ -67,6 +67,10 @@ def test_inputs_that_only_one_of_them_has_change_no_value() -> None:
     """Channels of the material: none before and two now; or three now, of which none is any of the two before."""
     earlier = trained(SETTINGS, half_space(3.0))
     np.testing.assert_allclose(values(start(SETTINGS, with_material(ramps), earlier)), values(earlier), atol=1e-5)
+    in_parts = replace(SETTINGS, material_parts=2)
+    for interior in half_space(3.0), with_material(ramps):
+        earlier = trained(replace(SETTINGS, material_parts=0), interior)
+        np.testing.assert_allclose(values(start(in_parts, interior, earlier)), values(earlier), atol=1e-5)
     begun = start(SETTINGS, with_material(random_steps), trained(SETTINGS, with_material(ramps)))
     without = start(SETTINGS, half_space(3.0), trained(SETTINGS, with_material(ramps)))
     np.testing.assert_allclose(values(begun), values(without), atol=1e-5)

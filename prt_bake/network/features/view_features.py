@@ -98,7 +98,7 @@ class ViewFeatures(nn.Module):
         self.torch_only = False
         self.interior, self._samples, self._has_normal = interior, settings.ray_samples, settings.tells_normal
         self._has_exit, self._has_shape = settings.lobes > 0, settings.shape_places > 0
-        self._has_directions = settings.low_axes
+        self._has_directions, self._parts = settings.low_axes, settings.material_parts
         spacing = self._samples / max(settings.shape_places - 1, 1)
         self._shape_at = [int(spacing * (place + 0.5)) for place in range(settings.shape_places - 1)]
         self._axes, self._sloped = settings.light_axes, settings.sloped_places
@@ -255,11 +255,16 @@ class ViewFeatures(nn.Module):
         return material_grid(material, kept_places(self.interior, material.per_side, self._length))
 
     def _material(self, x: Tensor, points: Tensor) -> list[Tensor]:
-        """The material's values at x [N,3] and their means over points [N,K,3], each [N,·]."""
+        """The material's values at x [N,3] and their means over points [N,K,3] and over parts of them, each [N,·]."""
         assert self.interior.material is not None
         at = torch.cat((x[:, None], points), dim=1)
         values = self._values(self.material, 1.0 / self.interior.material.per_side, at)
-        return [values[:, 0], values[:, 1:].mean(dim=1)]
+        along = values[:, 1:]
+        inputs = [values[:, 0], along.mean(dim=1)]
+        if self._parts:
+            of_part = along[..., : self.interior.channels].split(self._samples // self._parts, dim=1)
+            inputs += [part.mean(dim=1) for part in of_part]
+        return inputs
 
     def _values(self, grid: Tensor, spacing: float, points: Tensor) -> Tensor:
         """Trilinear values [...,C] of a grid [X,Y,Z,C] at points [...,3]."""

@@ -226,14 +226,14 @@ def test_a_killed_run_resumes_to_the_same_low_bands(scene: Scene, tmp_path: Path
 
 @pytest.mark.parametrize("best", ["fitted", "earlier", "none"])
 def test_a_run_keeps_the_best(best: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fit(run: Any, made: Any, steps: int | None) -> None:
+    def fit(run: Any, made: Any) -> None:
         with torch.no_grad():
             made.low.output.bias.fill_(2.0)
 
     def kind(made: NeuralBSSRDF) -> str:
         return "none" if made.low is None else "fitted" if made.low.output.bias[0].item() == 2.0 else "earlier"
 
-    def correct(run: Any, made: Any, steps: int | None) -> None:
+    def correct(run: Any, made: Any) -> None:
         made.metadata["corrected"] = kind(made)
 
     monkeypatch.setattr(Run, "_fit_low_bands", fit)
@@ -242,12 +242,12 @@ def test_a_run_keeps_the_best(best: str, monkeypatch: pytest.MonkeyPatch) -> Non
     run.low, run.earlier_low, run.stopped = network().low, network(replace(SETTINGS, low_layers=4)).low, False
     run.reference = SimpleNamespace(relative_rmse=lambda made: 0.1 if kind(made) == best else 0.2)
     plain = network(replace(SETTINGS, low_width=0))
-    found = run._with_low_bands(plain, None)
+    found = run._with_low_bands(plain)
     assert kind(found) == found.metadata["corrected"] == best
     assert found.settings.low_width == (0 if best == "none" else 10)
     assert found.low is None or found.settings.low_layers == len(found.low.hidden) == (4 if best == "earlier" else 5)
     run.low = None
-    assert run._with_low_bands(plain, None) is plain
+    assert run._with_low_bands(plain) is plain
 
 
 def test_low_bands_that_are_not_finite_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -255,7 +255,7 @@ def test_low_bands_that_are_not_finite_are_not_kept(monkeypatch: pytest.MonkeyPa
     run.low, run.earlier_low, run.stopped = network().low, None, True
     run.reference = SimpleNamespace(relative_rmse=lambda made: 0.5 if made.low is None else float("nan"))
     run.source = SimpleNamespace(traced=None)
-    assert run._with_low_bands(network(replace(SETTINGS, low_width=0)), None).low is None
+    assert run._with_low_bands(network(replace(SETTINGS, low_width=0))).low is None
 
 
 def test_a_run_by_time_leaves_four_tenths_of_it_for_low_bands_and_correction() -> None:
@@ -279,7 +279,7 @@ def test_both_fits_share_the_time_that_learning_leaves(monkeypatch: pytest.Monke
     made.learner = SimpleNamespace(network=network(), step=3)
     made.data = SimpleNamespace(learner_threads=lambda *_: 1)
     made.seconds, made.low_seconds, made.stopped, made.synchronous = 20.0, 0.0, False, False
-    made.learning, made.seed, made.part = QUICK, 0, lambda *_: None
+    made.learning, made.seed, made.part, made.steps = QUICK, 0, lambda *_: None, None
 
     def fit(*_arguments: Any, steps: int | None, seconds: float, follow: Any) -> None:
         requested.append((seconds, steps))
@@ -288,11 +288,12 @@ def test_both_fits_share_the_time_that_learning_leaves(monkeypatch: pytest.Monke
     monkeypatch.setattr(run_module, "time", SimpleNamespace(perf_counter=lambda: 0.0))
     monkeypatch.setattr(low_bands, "fit_low_bands", fit)
     monkeypatch.setattr(correction, "fit_correction", fit)
-    run._fit_low_bands(network(), None)
-    run._fit_correction(network(), None)
+    run._fit_low_bands(network())
+    run._fit_correction(network())
     np.testing.assert_allclose([seconds for seconds, _ in requested], [60.0, 50.0])
-    run._fit_low_bands(network(), 3)
-    run._fit_correction(network(), 3)
+    made.steps = 3
+    run._fit_low_bands(network())
+    run._fit_correction(network())
     assert [steps for _, steps in requested] == [None, None, 12, 3]
 
 
