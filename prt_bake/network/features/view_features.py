@@ -262,8 +262,8 @@ class ViewFeatures(nn.Module):
         along = values[:, 1:]
         inputs = [values[:, 0], along.mean(dim=1)]
         if self._parts:
-            of_part = along[..., : self.interior.channels].split(self._samples // self._parts, dim=1)
-            inputs += [part.mean(dim=1) for part in of_part]
+            unblurred = along[..., : self.interior.channels]
+            inputs += [part.mean(dim=1) for part in torch.split(unblurred, self._samples // self._parts, dim=1)]
         return inputs
 
     def _values(self, grid: Tensor, spacing: float, points: Tensor) -> Tensor:
