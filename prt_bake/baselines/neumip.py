@@ -21,6 +21,7 @@ from prt_bake.baselines.neumip_settings import NeuMIPSettings
 from prt_bake.baselines.texture_space import TextureSpace, numbered_corners, uv_areas
 from prt_bake.geometry.surface import Location, Surface
 from prt_bake.network.checkpoint import check_tensors
+from prt_bake.network.initial_weights import initialise
 from prt_bake.network.lobes import Lobes
 from prt_bake.network.model import TrainableModel
 from prt_bake.network.queries import queries
@@ -71,11 +72,7 @@ class NeuMIP(TrainableModel):
         """The features of all levels [rows, channels], finest first."""
         self.decoder = nn.ModuleList(nn.Linear(inputs, outputs) for inputs, outputs in settings.layer_shapes)
         for number, layer in enumerate(self.decoder, start=1):
-            assert isinstance(layer, nn.Linear)
-            gain = 1.0 if number == len(self.decoder) else 2.0
-            with torch.no_grad():
-                layer.weight.normal_(0.0, (gain / layer.in_features) ** 0.5, generator=generator)
-                layer.bias.zero_()
+            initialise(layer, 1.0 if number == len(self.decoder) else 2.0, generator)
 
     def encode_views(self, positions: Tensor, outgoing: Tensor) -> TextureView:
         """What views [N,3] read. Raises QueryError for positions off the surface."""

@@ -24,6 +24,7 @@ from prt_bake.mathematics.lobe import Lobe
 from prt_bake.network.checkpoint import check_tensors, read_checkpoint, write_checkpoint
 from prt_bake.network.features.fourier import encode_directions, fourier_features
 from prt_bake.network.file_names import importance_path
+from prt_bake.network.initial_weights import initialise
 
 __all__ = [
     "IMPORTANCE_PRESETS",
@@ -100,11 +101,9 @@ class ImportanceModule(nn.Module):
                 weights.copy_(_as_stored(weights))
 
     def _initialise(self, generator: torch.Generator) -> None:
+        for layer in self.hidden:
+            initialise(layer, 2.0, generator)
         with torch.no_grad():
-            for layer in self.hidden:
-                assert isinstance(layer, nn.Linear)
-                layer.weight.normal_(0.0, (2.0 / layer.in_features) ** 0.5, generator=generator)
-                layer.bias.zero_()
             self.output.weight.zero_()
             self.output.bias.zero_()
             if self.settings.lobes > 1:

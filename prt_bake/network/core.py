@@ -21,6 +21,7 @@ from prt_bake.network.features.fourier import encode_directions, fourier_feature
 from prt_bake.network.features.interior import Interior
 from prt_bake.network.features.view_features import ViewEncoding, ViewFeatures
 from prt_bake.network.features.view_path import Body, ViewPath, path_through
+from prt_bake.network.initial_weights import initialise
 from prt_bake.network.lobes import LOBE_PARAMETERS, Lobes, decode_lobes, evaluate_lobes
 from prt_bake.network.low_bands import LOW_DEGREE, LowBands, correction_of, low_bands_of, low_harmonics, low_radiance
 from prt_bake.network.model import NEURAL_BSSRDF, TrainableModel
@@ -135,11 +136,7 @@ class NetworkCore(TrainableModel):
 
     def _initialise(self, generator: torch.Generator) -> None:
         for layer in (*self.hidden, self.output):
-            assert isinstance(layer, nn.Linear)
-            gain = 1.0 if layer is self.output else 2.0
-            with torch.no_grad():
-                layer.weight.normal_(0.0, (gain / layer.in_features) ** 0.5, generator=generator)
-                layer.bias.zero_()
+            initialise(layer, 1.0 if layer is self.output else 2.0, generator)
         if self.lobes is not None:
             with torch.no_grad():
                 self.lobes.weight.normal_(0.0, _LOBE_WEIGHT_SPREAD, generator=generator)

@@ -18,6 +18,7 @@ import math
 import torch
 from torch import Tensor, nn
 
+from prt_bake.network.initial_weights import initialise
 from prt_bake.network.settings import AXIS_LENGTH, LEAST_LAYERS, NetworkSettings
 
 LOW_DEGREE = 2
@@ -47,11 +48,7 @@ class LowBands(nn.Module):
         columns = torch.arange(3)[:, None] + torch.tensor(axes, dtype=torch.int64)
         self.register_buffer("axis_columns", columns.flatten(), persistent=False)
         for layer in (*self.hidden, self.output):
-            assert isinstance(layer, nn.Linear)
-            gain = 0.1 if layer is self.output else 2.0
-            with torch.no_grad():
-                layer.weight.normal_(0.0, (gain / layer.in_features) ** 0.5, generator=generator)
-                layer.bias.zero_()
+            initialise(layer, 0.1 if layer is self.output else 2.0, generator)
 
     def forward(self, features: Tensor) -> Tensor:
         """Coefficients [N,9,3] over the output scale, float32, from features [N,inputs]."""
