@@ -19,10 +19,10 @@ from bakers.error_estimate import (
     unreliable_vertices,
     validated_variance,
 )
+from bakers.evaluation import values_on_sets
 from bakers.path_traced import Walks, WalkStatistics, vertices_walked_at_once, walk_block
 from bakers.plan import vertices_at_once
 from bakers.projection import DirectionPool, project, residual_variance, residuals_of
-from bakers.transport import as_radiance, transport_kind
 from formats.asset.error_covariance import ErrorCovariance
 
 Array = NDArray[np.float64]
@@ -154,14 +154,14 @@ def _sample(
     evaluations beyond one set per bin.
     """
     rotation, vertices = sampling.rotation(first, last), np.arange(first, last)
-    values = _values(task, sampling.pool, rotation, outgoing, vertices)
+    values = values_on_sets(task.transport, sampling.pool.incident, rotation, task.positions[vertices], outgoing)
     # Values that are not finite propagate; the caller reports their vertices.
     with np.errstate(invalid="ignore", over="ignore"):
         coefficients = project(values, sampling.pool, rotation)
         residual = residual_variance(values, coefficients, sampling.pool, rotation)
         if sampling.estimator == "halves" and sampling.second_rotation is not None:
             again = sampling.second_rotation(first, last)
-            second = _values(task, sampling.pool, again, outgoing, vertices)
+            second = values_on_sets(task.transport, sampling.pool.incident, again, task.positions[vertices], outgoing)
             other = project(second, sampling.pool, again)
             errors = (coefficients - other) / 2.0
             residual = residual + residual_variance(second, other, sampling.pool, again)
@@ -205,23 +205,7 @@ def _validation_errors(
     on the second sets `again` [n,B].
     """
     sets = np.take_along_axis(again, at, axis=1)
-    values = _values(task, pool, sets, np.take_along_axis(outgoing, at[:, :, None], axis=1), vertices)
+    towards = np.take_along_axis(outgoing, at[:, :, None], axis=1)
+    values = values_on_sets(task.transport, pool.incident, sets, task.positions[vertices], towards)
     here = np.take_along_axis(coefficients, at[:, :, None, None], axis=1)
     return np.asarray((here - project(values, pool, sets)) / np.sqrt(2.0))
-
-
-def _values(
-    task: Task, pool: DirectionPool, rotation: NDArray[np.int64], outgoing: Array, vertices: NDArray[np.int64]
-) -> NDArray[Any]:
-    """Ŝ [n,B,D,3] of vertices [n] seen along outgoing [n,B,3], on the direction sets of index `rotation` [n,B]."""
-    positions = task.positions[vertices]
-    directions = pool.incident.shape[1]
-    expected = (*rotation.shape, directions, 3)
-    if transport_kind(task.transport) == "block":
-        result = task.transport.evaluate_block(pool.incident, rotation, positions, outgoing)
-        return as_radiance(result, expected, "evaluate_block")
-    incident = pool.incident[rotation].reshape(-1, directions, 3)
-    # Copies: a transport of a user may write into what it is given.
-    at, eye = np.repeat(positions, rotation.shape[1], axis=0), np.array(outgoing.reshape(-1, 3))
-    result = task.transport.evaluate(incident, at, eye)
-    return as_radiance(result, (len(incident), directions, 3), "evaluate").reshape(expected)

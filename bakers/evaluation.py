@@ -15,10 +15,21 @@ def values_at(transport: Any, incident: Array, taken: Index, positions: Array, o
     """Ŝ [M,D,3] at positions [M,3] seen along outgoing [M,3], for the direction sets incident [R,D,3] of index `taken`
     [M].
     """
-    directions = incident.shape[1]
+    return values_on_sets(transport, incident, taken[:, None], positions, outgoing[:, None])[:, 0]
+
+
+def values_on_sets(
+    transport: Any, incident: Array, rotation: Index, positions: Array, outgoing: Array
+) -> NDArray[np.floating]:
+    """Ŝ [n,B,D,3] at positions [n,3] seen along outgoing [n,B,3], for the direction sets incident [R,D,3] of index
+    `rotation` [n,B].
+    """
+    expected = (*rotation.shape, incident.shape[1], 3)
     if transport_kind(transport) == "block":
-        result = transport.evaluate_block(incident, taken[:, None], positions, outgoing[:, None])
-        return as_radiance(result, (len(taken), 1, directions, 3), "evaluate_block")[:, 0]
+        result = transport.evaluate_block(incident, rotation, positions, outgoing)
+        return as_radiance(result, expected, "evaluate_block")
+    sets = incident[rotation.reshape(-1)]
     # Copies: a transport of a user may write into what it is given.
-    result = transport.evaluate(incident[taken], np.array(positions), np.array(outgoing))
-    return as_radiance(result, (len(taken), directions, 3), "evaluate")
+    at, eye = np.repeat(positions, rotation.shape[1], axis=0), np.array(outgoing.reshape(-1, 3))
+    result = transport.evaluate(sets, at, eye)
+    return as_radiance(result, (len(sets), *expected[2:]), "evaluate").reshape(expected)

@@ -53,23 +53,6 @@ class BakePlan:
         return asdict(self)
 
 
-def plan_bake(
-    vertices: int,
-    bins: int,
-    coefficients: int,
-    samples: int,
-    bytes_each: int = 2,
-    channels: int = 3,
-    views: int | None = None,
-) -> BakePlan:
-    """Sizes of a bake of `coefficients` (K) × channels at vertices × bins from `samples` directions each. The asset
-    stores `views` of the bins, all by default.
-    """
-    queries, kept = vertices * bins, vertices * (bins if views is None else views)
-    raw_bytes = kept * coefficients * channels * bytes_each
-    return BakePlan(vertices, bins, coefficients, samples, queries * samples, raw_bytes, None)
-
-
 def vertices_at_once(bins: int, directions: int) -> int:
     """Vertices per block, at least 1, so that the values of one block take about 8 MiB in float32."""
     return max(1, BYTES_AT_ONCE // (bins * directions * 12))

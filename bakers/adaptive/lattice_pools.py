@@ -34,11 +34,6 @@ class Pool:
     weights: Array
     """(YᵀY)⁻¹Yᵀ [K,D]"""
 
-    @property
-    def variance_share(self) -> float:
-        """Mean over K of the variance of a coefficient per unit variance of a value with independent errors."""
-        return float((self.weights**2).sum() / len(self.weights))
-
     @cached_property
     def products(self) -> Array:
         """[D,P], see `bakers.error_covariance.weight_products`."""

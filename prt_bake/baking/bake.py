@@ -160,7 +160,7 @@ def bake(
     warn_of_clamped_views(mesh, rings, sectors)
     whole = on_mesh(transport, mesh)
     transport = prepared(up_to(whole, degree), precision, device)
-    effort = choose_effort(transport, directions, samples, error, minutes)
+    effort = choose_effort(transport, degree, directions, samples, error, minutes)
     error = effort.error
     if resume and out is None:
         raise QueryError("resume: expected out, the file of the stopped bake, found none; give out")
@@ -204,7 +204,7 @@ def bake(
                 transport, mesh, pruning, head, report, out, storage, pool, seed, progress, stop, began, evaluations
             )
             planned = plan_lobes_of_bake(transport, whole, head, pruning, lobes, minutes, pool.count, precision, device)
-            work.report = report | {"lobes": planned.entry}
+            work.report = report | {"lobes": planned.entry_before}
             work.progress = counting_lobes(progress, planned.seconds)
             try:
                 if effort.adaptive:

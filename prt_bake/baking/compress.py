@@ -6,7 +6,7 @@ import shutil
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import h5py
 import numpy as np
@@ -32,9 +32,7 @@ from prt_bake.baking.compact_encoding import (
 )
 from prt_bake.lobes.rounding import rounded
 from prt_bake.lobes.selftest import with_lobes
-from prt_bake.mathematics import sphere
-from prt_bake.shading.reconstruction import reconstruct
-from prt_bake.shading.selftest import warn_of_failed_selftest
+from prt_bake.shading.selftest import selftest_radiance, warn_of_failed_selftest
 
 Array = NDArray[np.float64]
 
@@ -145,9 +143,10 @@ def compress(asset: Asset, error: float, progress: Progress | None = None) -> As
         standard_error=round_up(stated[:, None]),
         storage="float32",
         error_covariance=_error_covariance(asset, own, encoded),
-        selftest=_selftest(asset, compact),
         provenance={**asset.provenance, "compression": record},
     )
+    if made.selftest:
+        made = dataclasses.replace(made, selftest={**made.selftest, "radiance": selftest_radiance(made)})
     return with_lobes(made, lobes)
 
 
@@ -279,15 +278,3 @@ def _error_covariance(asset: Asset, own: Array, encoded: Encoded) -> ErrorCovari
     sums = encoded.covariance / (bins * channels), encoded.of_channels / (bins * terms)
     whole = added_covariance(asset.error_covariance.at_vertices(np.arange(len(own))), own, *sums)
     return clustered(whole, np.where(asset.valid, own + sums[1].mean(axis=1), 0.0))
-
-
-def _selftest(asset: Asset, compact: CompactCoefficients) -> dict[str, NDArray[Any]]:
-    """The original's selftest with the radiance of the compact coefficients."""
-    if not asset.selftest:
-        return {}
-    vertices = np.asarray(asset.selftest["vertex"], np.int64)
-    tangents = np.asarray(asset.tangents, np.float64)[vertices]
-    local = sphere.to_local(asset.selftest["outgoing"], asset.mesh.normals[vertices], tangents)
-    at = sphere.bin_coordinates(local, asset.rings, asset.sectors)
-    light = np.asarray(asset.selftest["light"], np.float64) if asset.quantity == "transfer" else np.ones((1, 3))
-    return {**asset.selftest, "radiance": reconstruct(compact, vertices, at, asset.sectors, light)}

@@ -3,7 +3,6 @@
 import math
 import time
 from collections.abc import Collection
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from bakers.baker import bake_block, cuts
 from bakers.path_traced import Walks
-from bakers.plan import BakePlan, plan_bake
+from bakers.plan import BakePlan
 from bakers.transport import on_mesh, prepared, refuse_foreign, transport_kind, up_to
 from bakers.workers import Threads, Workers
 from formats.mesh import Mesh
@@ -74,7 +73,7 @@ def plan(
     whole = on_mesh(transport, mesh)
     transport = prepared(up_to(whole, degree), precision, device)
     light, eye = as_light(for_light, degree), None if for_eye is None else as_point(for_eye)
-    effort = choose_effort(transport, directions, samples, error, minutes)
+    effort = choose_effort(transport, degree, directions, samples, error, minutes)
     error, limit = effort.error, math.inf if minutes is None else 60.0 * minutes
     endless = minutes is not None and math.isinf(limit) and error is None
     pool = Threads(1 if transport_kind(transport) == "coefficients" else workers)
@@ -97,22 +96,26 @@ def plan(
             if error is not None:
                 job, _spent = choose_samples(job, pruning.left_for_projection(error), directions, seed)
             cost = _fixed_samples_cost(job, pruning, pool, began)
-    vertices, count = len(pruning.vertices), 1 if light is not None else sh.count(pruning.kept_degree)
-    views, width = len(pruning.local) if pruning.views == "all" else 1, 2 if storage == "float16" else 4
-    sizes = plan_bake(vertices, len(pruning.local), count, cost.per_bin, width, pruning.channels, views)
+    vertices, bins = len(pruning.vertices), len(pruning.local)
+    count = 1 if light is not None else sh.count(pruning.kept_degree)
+    views, width = bins if pruning.views == "all" else 1, 2 if storage == "float16" else 4
     writing = cost.assets * writing_time(cost.coefficients, head, storage, pruning, vertices)
     after = writing + planned.seconds
     low, high = (seconds + after for seconds in cost.between)
-    return replace(
-        sizes,
-        left_out=pruning.pruned,
-        kept=pruning.kept,
+    return BakePlan(
+        vertices=vertices,
+        bins=bins,
+        coefficients=count,
+        samples=cost.per_bin,
         evaluations=round(cost.evaluations),
+        raw_bytes=vertices * views * count * pruning.channels * width,
         seconds=None if endless else min(cost.seconds + after, limit),
         seconds_between=None if endless else (min(low / MACHINE, limit), min(high * MACHINE, limit)),
+        left_out=pruning.pruned,
+        kept=pruning.kept,
+        lobes={**planned.entry, "seconds": planned.seconds, "bytes": planned.bytes},
         effort=effort.sentence,
         error=cost.error,
-        lobes={**planned.entry, "seconds": planned.seconds, "bytes": planned.bytes},
     )
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from formats.scene.lights import DirectionalLight
 from prt_bake.lights.lighting import Lighting, Sky, in_disc, solid_angle
 from prt_bake.lights.skies.sampling import draw_directions, look_up, sky_table
+from prt_bake.mathematics.directions import on_sphere
 
 Array = NDArray[np.float64]
 
@@ -116,7 +117,7 @@ class LightSampler:
         """Directions [...,3] from uniform numbers [...,3]; the third one chooses the light."""
         rows = np.ascontiguousarray(numbers, np.float64).reshape(-1, 3)
         if not self._emitters:
-            return _on_sphere(rows).reshape(numbers.shape)
+            return on_sphere(rows[:, 0], rows[:, 1]).reshape(numbers.shape)
         if len(self._emitters) == 1:
             return self._emitters[0].directions(rows).reshape(numbers.shape)
         chosen = np.searchsorted(np.cumsum(self._shares)[:-1], rows[:, 2], side="right")
@@ -218,12 +219,6 @@ def _level(grey: Array, connections: Connections) -> float | None:
     variances = rest_variance + connections.variance * clipped**2
     best = int(np.argmin(variances))
     return float(levels[best]) if (1.0 + connections.cost) * variances[best] < variance else None
-
-
-def _on_sphere(numbers: Array) -> Array:
-    height, turn = 1.0 - 2.0 * numbers[:, 0], 2.0 * math.pi * numbers[:, 1]
-    radius = np.sqrt(np.maximum(0.0, 1.0 - height * height))
-    return np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
 
 
 def frame_across(direction: Array) -> tuple[Array, Array]:

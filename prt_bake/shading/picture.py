@@ -48,7 +48,7 @@ class Picture:
         error: standard error [H,W,3] of the object's radiance, from the asset's standard errors and from the difference
             between two half buffers of reflected rays. The error of the model itself is not included.
         relative_error: rms of `error` over rms of the object's radiance.
-        errors: the relative error of the picture, all that is known: network, bake, view bins and noise.
+        errors: relative error of the picture, all that is known: network, bake, view bins, vertices, noise and suns.
         layers: the requested layers (`prt_bake.shading.layers`).
         reflects: whether light reflected at the surface is included.
         suns: number of suns that were treated separately.

@@ -42,7 +42,7 @@ def reconstruct(
             reconstruct_compact(coefficients, vertices, places, sectors, light, radiance)
         return radiance
     with using_threads(1 + len(vertices) // _VERTICES_A_THREAD):
-        for part, block, rows in _blocks(coefficients, vertices):
+        for part, block, rows in coefficient_blocks(coefficients, vertices):
             half = block.dtype == np.float16
             bits, table = (block.view(np.uint16), _half_table()) if half else (block.view(), None)
             bits.flags.writeable = False  # a kernel for arrays that can be written would be compiled beside this one
@@ -50,12 +50,15 @@ def reconstruct(
     return radiance
 
 
-def _blocks(coefficients: Any, vertices: NDArray[np.int64]) -> Iterator[tuple[slice, NDArray[Any], NDArray[np.int64]]]:
-    """Yield runs of `vertices`, coefficients that contain them, and their rows in those coefficients.
+def coefficient_blocks(
+    coefficients: Any, vertices: NDArray[np.int64]
+) -> Iterator[tuple[slice, Any, NDArray[np.int64]]]:
+    """Yield runs of `vertices` (ascending), coefficients that contain them, and their rows in those coefficients.
 
-    An array is yielded unchanged. From a file only the chunks with requested vertices are read, a few at a time.
+    An array and compact coefficients are yielded unchanged. From a file only the chunks with requested vertices are
+    read, a few at a time.
     """
-    if isinstance(coefficients, np.ndarray):
+    if isinstance(coefficients, (np.ndarray, CompactCoefficients)):
         yield slice(0, len(vertices)), coefficients, vertices
         return
     size = coefficients.chunks[0] if coefficients.chunks else 1

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from formats.asset import Asset
 from formats.errors import warn
 from prt_bake.lobes.selftest import lobes_under_sun
-from prt_bake.mathematics import sphere
 from prt_bake.shading.reconstruction import reconstruct
+from prt_bake.shading.vertices import bin_coordinates_at_vertices
 
 _TOLERANCE = 1e-3
 """Relative to the largest radiance of the self-test: directions are float32 and coefficients usually float16."""
@@ -41,14 +41,18 @@ def selftest_fault(asset: Asset) -> str | None:
 
 def selftest_error(asset: Asset) -> float:
     """Return the largest difference between the self-test's radiance and the asset's, relative to the largest value."""
+    return _relative(selftest_radiance(asset), asset.selftest["radiance"])
+
+
+def selftest_radiance(asset: Asset) -> NDArray[np.float64]:
+    """Return the radiance [S,3] of the self-test's rows by the asset's coefficients."""
     order = np.argsort(asset.selftest["vertex"], kind="stable")  # an open dataset is read in ascending order
     vertices = np.asarray(asset.selftest["vertex"], np.int64)[order]
-    tangents = np.asarray(asset.tangents, np.float64)[vertices]
-    local = sphere.to_local(asset.selftest["outgoing"][order], asset.mesh.normals[vertices], tangents)
-    bins = sphere.bin_coordinates(local, asset.rings, asset.sectors)
+    at = bin_coordinates_at_vertices(asset, asset.selftest["outgoing"][order], vertices)
     light = np.asarray(asset.selftest["light"], np.float64) if asset.quantity == "transfer" else np.ones((1, 3))
-    computed = reconstruct(asset.coefficients, vertices, bins, asset.sectors, light)
-    return _relative(computed, asset.selftest["radiance"][order])
+    radiance = np.empty((len(order), 3))
+    radiance[order] = reconstruct(asset.coefficients, vertices, at, asset.sectors, light)
+    return radiance
 
 
 def lobes_error(asset: Asset) -> float:

@@ -10,15 +10,14 @@ their sum. It is not linear in the asset's coefficients.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from formats.asset import Asset
-from formats.asset.compact_record import CompactCoefficients
 from formats.errors import QueryError, refuse_path
 from formats.scene.lights import DirectionalLight
 from formats.summary import summary
@@ -35,7 +34,6 @@ negative. plain: they stay in the harmonics."""
 
 _POINT = 2.0
 """Degrees; narrower discs are treated as a point."""
-_BYTES_AT_ONCE = 64 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,29 +144,17 @@ def _channels(asset: Asset, vertices: NDArray[np.int64], at: BinCoordinates) -> 
 
 def interpolated_coefficients(asset: Asset, vertices: NDArray[np.int64], at: BinCoordinates) -> Array:
     """Coefficients [n,K,3] of `vertices` [n] (ascending) between the view bins; `at` as in `reconstruct`."""
-    from prt_bake.shading.reconstruction import reconstruct
+    from prt_bake.shading.reconstruction import coefficient_blocks, reconstruct
 
     harmonics = (asset.degree + 1) ** 2
     coefficients = np.empty((len(vertices), harmonics, 3))
-    for part, block, rows in _blocks(asset.coefficients, vertices):
+    for part, block, rows in coefficient_blocks(asset.coefficients, vertices):
         places = BinCoordinates._make(field[part] for field in at)
         for k in range(harmonics):
             light = np.zeros((harmonics, 3))
             light[k] = 1.0
             coefficients[part, k] = reconstruct(block, rows, places, asset.sectors, light)
     return coefficients
-
-
-def _blocks(coefficients: Any, vertices: NDArray[np.int64]) -> Iterator[tuple[slice, Any, NDArray[np.int64]]]:
-    """Yield runs of `vertices`, coefficients that contain them, and their rows in those; a file is read once."""
-    if isinstance(coefficients, (np.ndarray, CompactCoefficients)):
-        yield slice(0, len(vertices)), coefficients, vertices
-        return
-    step = max(1, _BYTES_AT_ONCE // (math.prod(coefficients.shape[1:]) * coefficients.dtype.itemsize))
-    for first in range(0, coefficients.shape[0], step):
-        part = slice(*np.searchsorted(vertices, [first, first + step]).tolist())
-        if part.stop > part.start:
-            yield part, coefficients[first : first + step], vertices[part] - first
 
 
 def _points_of(sun: DirectionalLight) -> tuple[Array, Array]:

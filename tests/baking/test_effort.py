@@ -45,7 +45,7 @@ FIXED = "directions per view bin", "paths per view bin", "the default"
 
 @pytest.mark.parametrize(("transport", "directions", "given", "sentence"), SENTENCES)
 def test_the_effort_is_said(transport: Any, directions: str, given: tuple[Any, ...], sentence: str) -> None:
-    effort = choose_effort(transport, directions, *given)
+    effort = choose_effort(transport, 2, directions, *given)
     assert effort.sentence == sentence
     walks = isinstance(transport, Walked)
     assert effort.adaptive == (not walks and sentence.startswith(("to", "for", "until")))
@@ -58,6 +58,12 @@ def test_a_bake_without_options_goes_to_the_default_error() -> None:
     fixed = bake(Lobed(), icosphere(1), **GRID, samples=20)
     assert fixed.provenance["settings"]["samples"] == 20
     assert fixed.provenance["settings"]["error"] is None
+
+
+@pytest.mark.parametrize(("given", "used"), [(None, 98), (64, 64), (50, 50)])
+def test_only_the_default_number_of_samples_depends_on_the_degree(given: int | None, used: int) -> None:
+    asset = bake(Lobed(), icosphere(0), **GRID, degree=6, directions="sobol", samples=given)
+    assert asset.provenance["settings"]["samples"] == used
 
 
 def test_the_plan_of_a_time_is_for_that_time(monkeypatch: pytest.MonkeyPatch) -> None:

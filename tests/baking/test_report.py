@@ -109,7 +109,7 @@ def test_a_report_has_all_methods_and_the_error_budget(tmp_path: Path) -> None:
     )  # fmt: skip
     assert [file.name for file in files] == ["bake.md", "bake.json", "bake.png"]
     found = json.loads(files[1].read_text())
-    names = "way", "evaluations", "seconds", "error", "told"
+    names = "method", "evaluations", "seconds", "error", "reported"
     methods = rows_by_method([Row(*(row[name] for name in names)) for row in found["rows"]])
     assert len(methods) == 5
     assert all(len(rows) >= 2 for rows in methods.values())

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -15,8 +16,10 @@ from bakers.path_traced import WalkStatistics
 from formats.errors import StorageError
 from formats.journal import Journal
 from prt_bake import bake, read_asset
+from prt_bake.baking.job.forecast import BakeStatus
 from tests import ROOT
 from tests.bakers.transports import Incoherent, Lobed, icosphere
+from tests.baking.clock import Clock, Timed
 from tests.baking.loose_pilot import loose_settings
 
 pytestmark = pytest.mark.statistics
@@ -176,6 +179,57 @@ def test_a_bake_for_a_time_resumes_with_another_time(tmp_path: Path, monkeypatch
     calls = iter([False] * 4 + [True] * 1000)
     bake(Incoherent(), icosphere(1), **arguments, minutes=5.0, out=out, stop=lambda: next(calls)).close()
     with pytest.raises(StorageError, match="minutes was 'any' and is None"):
+        bake(Incoherent(), icosphere(1), **arguments, out=out, resume=True)
+
+
+def killed_in(stage: str) -> Callable[[int, int, BakeStatus], None]:
+    """A progress callback that ends the process in a stage."""
+
+    def progress(done: int, total: int, status: BakeStatus) -> None:
+        if status.stage == stage:
+            raise Killed
+
+    return progress
+
+
+@pytest.mark.parametrize(("minutes", "finer"), [(1e-4, False), (0.5, True)])
+def test_a_killed_bake_for_a_time_goes_on_from_its_last_complete_pass(
+    tmp_path: Path, minutes: float, finer: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    transport, out = Timed(Lobed(), Clock(monkeypatch), each=4e-5), tmp_path / "a.h5"
+    arguments: dict[str, Any] = {"rings": 4, "sectors": 16, "out": out}
+    with pytest.raises(Killed):
+        bake(transport, icosphere(0), **arguments, minutes=1.0, progress=killed_in("pass 3"))
+    with read_asset(out) as before:
+        passes, error = before.provenance["refinement"]["passes"], before.error_vs_time[-1, 2]
+    with bake(transport, icosphere(0), **arguments, minutes=minutes, resume=True) as asset:
+        assert asset.complete
+        assert asset.valid.all()
+        assert passes == 2
+        assert (asset.provenance["refinement"]["passes"] > passes) == finer
+        assert (asset.error_vs_time[-1, 2] < error) == finer
+
+
+def test_a_bake_for_a_time_begins_anew_without_its_asset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    transport, out = Timed(Lobed(), Clock(monkeypatch), each=4e-5), tmp_path / "a.h5"
+    arguments: dict[str, Any] = {"rings": 4, "sectors": 16, "out": out, "minutes": 1.0}
+    with pytest.raises(Killed):
+        bake(transport, icosphere(0), **arguments, progress=killed_in("pass 3"))
+    out.unlink()
+    with bake(transport, icosphere(0), **arguments, resume=True) as asset:
+        assert asset.complete
+        assert asset.valid.all()
+
+
+def test_a_damaged_block_of_a_complete_pass_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("prt_bake.baking.adaptive.run.settings_for_error", loose_settings)
+    monkeypatch.setattr("prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE", 5 * 32)
+    out, arguments = tmp_path / "a.h5", {**SMALL, "error": 0.03}
+    with pytest.raises(Killed):
+        bake(Incoherent(), icosphere(1), **arguments, out=out, progress=killed_in("pass 2"))
+    damaged = tmp_path / "a.h5.journal" / "01-10.npz"
+    damaged.write_bytes(damaged.read_bytes()[:100])
+    with pytest.raises(StorageError, match=r"checkpoint 01-10: expected a finished block .* bake again without resum"):
         bake(Incoherent(), icosphere(1), **arguments, out=out, resume=True)
 
 

@@ -62,6 +62,7 @@ VARIANTS = {
     "batch 256": Variant({"batch": 256}),
     "batch 2048": Variant({"batch": 2048}),
     "without the material": Variant(network={"material_channels": 0}),
+    "material along the whole ray alone": Variant(network={"material_parts": 0}),
     "grid of 64 nodes": Variant(network={"grid_places": 64}),
     "24 samples of the ray": Variant(network={"ray_samples": 24}),
     "8 places of the shape": Variant(network={"shape_places": 8}),

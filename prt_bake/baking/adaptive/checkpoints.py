@@ -6,14 +6,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.adaptive.calibration import Tally
+from bakers.adaptive.calibration import Correction, Tally
 from bakers.adaptive.records import RefinedBlock
+from formats.errors import StorageError
+from prt_bake.baking.adaptive.pass_result import Pass
 from prt_bake.baking.adaptive.pass_settings import LATTICES, PassSettings
 from prt_bake.baking.output.checkpoint_store import CheckpointStore
 
 ClampedBlock = tuple[RefinedBlock, int]
 """A block and the number of its bins that were clamped to the horizon."""
 
+DONE = "done-"
+"""Prefix of the names of results of complete passes."""
 EVALUATED = "evaluated-"
 """Prefix of the names of blocks that hold only the vertices from which others are interpolated."""
 
@@ -45,7 +49,7 @@ class PassCheckpoints:
             return
         self.forget_blocks()
         self.forget_evaluated()
-        self.store.forget(f"done-{self.number:02d}")
+        self.store.forget(f"{DONE}{self.number:02d}")
         self.store.write(name, {"tolerances": tolerances, "block_vertices": np.asarray(block_vertices)})
 
     def write(self, first: int, block: RefinedBlock, clamped: int) -> None:
@@ -56,11 +60,13 @@ class PassCheckpoints:
         """A block of this pass; None if it is not finished."""
         return self._read(self._name(first))
 
-    def read_previous(self, first: int) -> ClampedBlock:
-        """The same block of the pass before."""
-        found = PassCheckpoints(self.store, self.number - 1).read(first)
-        assert found is not None
-        return found
+    def require(self, first: int) -> ClampedBlock:
+        """A finished block of this pass; raises StorageError if it cannot be read."""
+        return self._require(self._name(first))
+
+    def require_previous(self, first: int) -> ClampedBlock:
+        """The same block of the pass before; raises StorageError if it cannot be read."""
+        return PassCheckpoints(self.store, self.number - 1).require(first)
 
     def write_evaluated(self, first: int, block: RefinedBlock, clamped: int) -> None:
         """Stores the vertices of a block from which others are interpolated."""
@@ -69,6 +75,10 @@ class PassCheckpoints:
     def read_evaluated(self, first: int) -> ClampedBlock | None:
         """The vertices of a block from which others are interpolated; None if they are not finished."""
         return self._read(EVALUATED + self._name(first))
+
+    def require_evaluated(self, first: int) -> ClampedBlock:
+        """The same of a block where they are finished; raises StorageError if they cannot be read."""
+        return self._require(EVALUATED + self._name(first))
 
     def finished(self) -> list[int]:
         """The finished blocks."""
@@ -90,14 +100,20 @@ class PassCheckpoints:
         """Deletes the vertices that others were interpolated from."""
         self.store.forget(EVALUATED + self._name(""))
 
-    def write_result(self, tally: Tally) -> None:
+    def write_result(self, done: Pass) -> None:
         """Marks the pass as complete."""
-        self.store.write(f"done-{self.number:02d}", tally.as_arrays())
+        self.store.write(f"{DONE}{self.number:02d}", done.tally.as_arrays() | {"seconds": np.asarray(done.seconds)})
 
-    def read_result(self) -> Tally | None:
-        """The tally of a complete pass; its blocks may be deleted already, if the next pass is complete too."""
-        arrays = self.store.read(f"done-{self.number:02d}")
-        return None if arrays is None else Tally.from_arrays(arrays)
+    def read_result(self, before: Correction) -> Pass | None:
+        """The result of a pass that is complete, for the prior `before` of its correction; None if it is not.
+
+        Its blocks may be deleted already, if the next pass is complete too.
+        """
+        arrays = self.store.read(f"{DONE}{self.number:02d}")
+        if arrays is None:
+            return None
+        tally = Tally.from_arrays(arrays)
+        return Pass.of(tally, before, complete=True, seconds=float(arrays["seconds"]))
 
     def _name(self, first: int | str) -> str:
         return f"{self.number:02d}-{first}"
@@ -105,6 +121,15 @@ class PassCheckpoints:
     def _read(self, name: str) -> ClampedBlock | None:
         arrays = self.store.read(name)
         return None if arrays is None else (RefinedBlock.from_arrays(arrays), int(arrays["clamped"]))
+
+    def _require(self, name: str) -> ClampedBlock:
+        found = self._read(name)
+        if found is None:
+            raise StorageError(
+                f"checkpoint {name}: expected a finished block of this bake, found none that can be read; "
+                "bake again without resuming"
+            )
+        return found
 
     def _firsts(self, kind: str) -> list[int]:
         prefix = kind + self._name("")

@@ -60,8 +60,7 @@ class EvaluatedVertices:
             if first in self._blocks:
                 self._blocks[first] = self._blocks.pop(first)
                 return self._blocks[first]
-        found = self._checkpoints.read_evaluated(first)
-        assert found is not None
+        found = self._checkpoints.require_evaluated(first)
         with self._lock:
             self._blocks[first] = found[0]
             while self._bytes() > self._most_bytes and len(self._blocks) > 1:
@@ -86,8 +85,7 @@ def interpolated_block(
     evaluated = interpolation.evaluated[first : first + len(vertices)]
     parts, clamped = list[tuple[Index, RefinedBlock]](), 0
     if evaluated.any():
-        found = checkpoints.read_evaluated(first)
-        assert found is not None
+        found = checkpoints.require_evaluated(first)
         parts, clamped = [(np.flatnonzero(evaluated), found[0])], found[1]
     rest = np.flatnonzero(~evaluated)
     if len(rest):

@@ -11,8 +11,8 @@ from bakers.baker import Block
 from formats.asset import Asset
 from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
 from prt_bake.baking.adaptive.checkpoints import PassCheckpoints
+from prt_bake.baking.adaptive.pass_result import Pass
 from prt_bake.baking.adaptive.pass_settings import PassSettings
-from prt_bake.baking.adaptive.passes import Pass
 from prt_bake.baking.job.provenance import outcome
 from prt_bake.baking.job.work import Work
 from prt_bake.baking.output.pruned_sink import open_pruned_sink
@@ -34,10 +34,11 @@ def write_asset(
     clamped, interpolated, by_directions = 0, 0, Counter[int]()
     with open_pruned_sink(work.out, work.head, work.storage, work.pruning) as sink:
         for first in job.blocks:
-            found, vertices = checkpoints.read(first), job.block(first)
-            if found is None or not done.tally.done[vertices[0]]:
+            vertices = job.block(first)
+            if not done.tally.done[vertices[0]]:
                 break
-            refined, clamped = found[0], clamped + found[1]
+            refined, clamped_here = checkpoints.require(first)
+            clamped += clamped_here
             interpolated += int((refined.method == FROM_VERTICES).all(axis=1).sum())
             sizes, counts = np.unique(refined.directions, return_counts=True)
             by_directions.update(dict(zip(sizes.tolist(), counts.tolist(), strict=True)))

@@ -8,40 +8,25 @@ comparison, and a lattice of the right size has a smaller error than one that wa
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.adaptive.calibration import Correction, Tally
+from bakers.adaptive.calibration import Tally
 from bakers.adaptive.records import RefinedBlock
 from bakers.workers import Workers
 from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
 from prt_bake.baking.adaptive.checkpoints import ClampedBlock, PassCheckpoints
 from prt_bake.baking.adaptive.interpolation import EvaluatedVertices, interpolated_block
 from prt_bake.baking.adaptive.parent_vertices import Interpolation
+from prt_bake.baking.adaptive.pass_result import Pass
 from prt_bake.baking.adaptive.pass_settings import PassSettings, refined_block, worst_of
 from prt_bake.baking.adaptive.trials import TARGET
 from prt_bake.baking.job.forecast import COST_EXPONENT
 
 TIGHTER = 0.8, 0.6, 0.4, 0.25, 0.15
 """Factors on the error of vertices that are baked again."""
-
-
-@dataclass(frozen=True)
-class Pass:
-    """The result of a pass over all vertices, or over those that there was time for."""
-
-    tally: Tally
-    correction: Correction
-    total: float
-    percentile_95: float
-    complete: bool
-
-    @property
-    def worst(self) -> float:
-        """The error that is compared with the requested one."""
-        return worst_of(self.total, self.percentile_95)
 
 
 def tighter(settings: PassSettings, done: Pass, error: float) -> PassSettings:
@@ -93,10 +78,13 @@ def one_pass(
     interpolation, parents, ahead = settings.active_interpolation, None, 0.0
     if interpolation is not None:
         parents, ahead = EvaluatedVertices(job, interpolation, checkpoints), interpolation.ahead * vertices
-        for share in _evaluate_parents(job, settings, interpolation, workers, checkpoints):
-            progress(int(share * ahead), tally)
-            if stop():
-                return Pass(tally, settings.correction, 0.0, 0.0, complete=False)
+        try:
+            for share in _evaluate_parents(job, settings, interpolation, workers, checkpoints):
+                progress(int(share * ahead), tally)
+                if stop():
+                    raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            return Pass(tally, settings.correction, 0.0, 0.0, complete=False)
 
     def bake(first: int) -> tuple[int, RefinedBlock]:
         block = checkpoints.read(first)
@@ -124,8 +112,7 @@ def one_pass(
         pass
     finally:
         blocks.close()  # type: ignore[attr-defined]
-    correction = tally.correction(settings.correction)
-    return Pass(tally, correction, *tally.relative(correction), done == len(job.vertices))
+    return Pass.of(tally, settings.correction, complete=done == len(job.vertices))
 
 
 def _evaluate_parents(
@@ -157,7 +144,7 @@ def _evaluated_block(
     vertices, shared = job.block(first), (job, settings.refinement)
     if settings.rebake is None:
         return workers.do(refined_block, shared, vertices)
-    previous, clamped = checkpoints.read_previous(first)
+    previous, clamped = checkpoints.require_previous(first)
     rows = np.flatnonzero(settings.rebake[vertices])
     if not len(rows):
         return previous.without_cost(), clamped

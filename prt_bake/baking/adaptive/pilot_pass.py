@@ -16,8 +16,9 @@ from bakers.adaptive.records import RefinedBlock, RefinementSettings
 from bakers.workers import Workers
 from prt_bake.baking.adaptive.adaptive_job import MANY, AdaptiveJob
 from prt_bake.baking.adaptive.parent_vertices import INTERPOLATION_TIME
+from prt_bake.baking.adaptive.pass_result import Pass
 from prt_bake.baking.adaptive.pass_settings import PassSettings, refined_block
-from prt_bake.baking.adaptive.passes import Pass, tighter
+from prt_bake.baking.adaptive.passes import tighter
 from prt_bake.baking.adaptive.trials import PILOT_VALIDATION_BINS
 from prt_bake.baking.job.forecast import COST_EXPONENT
 from prt_bake.baking.job.lattices import sample_without_replacement
@@ -56,8 +57,7 @@ class PilotPass:
 
     def repeats(self, settings: PassSettings, error: float, job: AdaptiveJob) -> float:
         """Predicted cost of the pass that follows, over that of the pass itself; 0 if the pass reaches the error."""
-        correction = self.tally.correction(settings.correction)
-        done = Pass(self.tally, correction, *self.tally.relative(correction), True)
+        done = Pass.of(self.tally, settings.correction, complete=True)
         if settings.interpolation is not None or min(done.worst, settings.error) <= 0.0:
             return 0.0
         # Both predictions of the error count in proportion to their validation bins.

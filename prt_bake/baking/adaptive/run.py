@@ -5,20 +5,23 @@ An asset is written after each pass.
 
 import math
 import time
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from bakers.adaptive.calibration import Tally
+from bakers.adaptive.calibration import Correction, Tally
 from bakers.adaptive.records import RefinementSettings
-from formats.asset import Asset
+from formats.asset import Asset, read_asset
 from formats.errors import QueryError, warn
 from prt_bake.baking.adaptive.adaptive_job import MANY, AdaptiveJob, vertices_at_once
-from prt_bake.baking.adaptive.checkpoints import EVALUATED, PassCheckpoints
+from prt_bake.baking.adaptive.checkpoints import DONE, EVALUATED, PassCheckpoints
 from prt_bake.baking.adaptive.noise_pilot import first_refinement, refuse_out_of_reach
 from prt_bake.baking.adaptive.pass_asset import write_asset
 from prt_bake.baking.adaptive.pass_progress import PassProgress
+from prt_bake.baking.adaptive.pass_result import Pass
 from prt_bake.baking.adaptive.pass_settings import PassSettings, uncalibrated
-from prt_bake.baking.adaptive.passes import Pass, one_pass, tighter
+from prt_bake.baking.adaptive.passes import one_pass, tighter
 from prt_bake.baking.adaptive.tolerances import settings_for_error
 from prt_bake.baking.adaptive.trials import Pilot, PilotStopped
 from prt_bake.baking.job.forecast import COST_EXPONENT, BakeStatus, Forecast, error_exponent
@@ -141,15 +144,29 @@ def bake_to_error(run: Run) -> Asset:
 
 
 def _bake_for_time(run: Run, refinement: RefinementSettings) -> Asset:
-    began = time.monotonic()
-    done = _pass(run, uncalibrated(refinement, max(COARSE, run.error or 0.0)))
+    done = _last_complete(run) or _pass(run, uncalibrated(refinement, max(COARSE, run.error or 0.0)))
     while done is not None and not (run.error is not None and done.worst <= run.error):
-        following = _next_settings(run, refinement, done, time.monotonic() - began)
+        following = _next_settings(run, refinement, done)
         if following is None:
             break
-        began = time.monotonic()
         done = _pass(run, following)
     return _finish(run)
+
+
+def _last_complete(run: Run) -> Pass | None:
+    """The last pass that an earlier run for a time has completed, and whose asset is in the file.
+
+    A pass with other settings follows it: those of the time that is left. Its own blocks begin anew.
+    """
+    numbers = [int(name.removeprefix(DONE)) for name in run.store.names(DONE)]
+    if not numbers:
+        return None
+    if run.work.out is None or not Path(run.work.out).is_file():
+        run.store.forget("")
+        return None
+    run.asset = read_asset(run.work.out, load=False)
+    run.number = run.passes = max(numbers) + 1
+    return PassCheckpoints(run.store, max(numbers)).read_result(Correction())
 
 
 def coarse_first(job: AdaptiveJob, error: float) -> bool:
@@ -157,11 +174,9 @@ def coarse_first(job: AdaptiveJob, error: float) -> bool:
     return job.many >= MANY and error < WORTH_A_PASS * COARSE
 
 
-def _next_settings(run: Run, refinement: RefinementSettings, before: Pass, seconds: float) -> PassSettings | None:
-    """Settings for the smallest error that the remaining time allows, after a pass that took `seconds`; None if the
-    time is too short for a worthwhile pass.
-    """
-    reached, vertices = before.worst, len(run.job.vertices)
+def _next_settings(run: Run, refinement: RefinementSettings, before: Pass) -> PassSettings | None:
+    """Settings for the smallest error that the remaining time allows; None if it is too short for a worthwhile pass."""
+    reached, seconds, vertices = before.worst, before.seconds, len(run.job.vertices)
     goal, least = reached * (seconds / max(TIME_TO_USE * run.left, 1e-9)) ** (1.0 / COST_EXPONENT), run.error or 0.0
     for _attempt in range(PASSES):
         goal = max(goal, reached / (FINEST if math.isfinite(run.left) else STEP), least)
@@ -195,12 +210,11 @@ def _pass(run: Run, settings: PassSettings) -> Pass | None:
         run.report(done, progress.status(done, tally, run.work, stage))
         run.warn_if_late(forecast, done)
 
-    done = _earlier_result(settings, checkpoints)
+    done = earlier = checkpoints.read_result(settings.correction)
     if done is None:
+        began = time.monotonic()
         done = one_pass(run.job, settings, run.work.workers, checkpoints, lambda: run.stopped, report)
-        if done.complete:
-            checkpoints.write_result(done.tally)
-            checkpoints.forget_evaluated()
+        done = replace(done, seconds=time.monotonic() - began)
     run.work.evaluations += done.tally.new_evaluations
     run.rows.append((run.work.seconds, float(run.work.evaluations), done.total))
     if not done.tally.done.any():
@@ -213,9 +227,15 @@ def _pass(run: Run, settings: PassSettings) -> Pass | None:
         raise not_finite(run.job.transport, f"{int(done.tally.done.sum())} vertices that were baked")
     if checkpoints.read(0) is not None and (done.complete or run.asset is None):
         run.asset = write_asset(run.work, run.job, checkpoints, settings, done, run.passes, run.rows)
-    if done.complete and checkpoints.number:
+    if not done.complete:
+        return None
+    if earlier is None:
+        # A result states that the asset is in the file.
+        checkpoints.write_result(done)
+        checkpoints.forget_evaluated()
+    if checkpoints.number:
         checkpoints.forget_previous()
-    return done if done.complete else None
+    return done
 
 
 def _forecast(run: Run, settings: PassSettings, checkpoints: PassCheckpoints) -> Forecast:
@@ -239,15 +259,6 @@ def _time_after(run: Run, error: float) -> float:
     if run.error is None:
         return math.inf
     return 0.0 if error <= FINER * run.error else (error / run.error) ** error_exponent(run.rows)
-
-
-def _earlier_result(settings: PassSettings, checkpoints: PassCheckpoints) -> Pass | None:
-    """The result of this pass if an earlier run completed it."""
-    tally = checkpoints.read_result()
-    if tally is None:
-        return None
-    correction = tally.correction(settings.correction)
-    return Pass(tally, correction, *tally.relative(correction), True)
 
 
 def _finish(run: Run, keep_checkpoints: bool = False) -> Asset:

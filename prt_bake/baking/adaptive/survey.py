@@ -21,8 +21,8 @@ def survey_views(
     job: AdaptiveJob, lattice: NestedLattice, levels: list[Level], floor: float, workers: Workers
 ) -> tuple[ViewSurvey | None, Array, int]:
     """Evaluates all bins of a few vertices in few directions, if bins will be interpolated. Returns the survey, whose
-    errors are relative to coefficients of at least `floor`; mean square coefficients of the finite vertices [n]; and
-    evaluations.
+    errors are relative to coefficients of at least `floor`, or None if no vertex is finite; mean square coefficients
+    of the finite vertices [n]; and evaluations.
     """
     if len(levels) <= FULL_LEVELS + 1:
         return None, np.zeros(0), 0
@@ -30,12 +30,15 @@ def survey_views(
     chosen = np.sort(sample_without_replacement(job.seed + 4, len(job.vertices), count))
     results = list(workers.in_order(lambda place: workers.do(_survey_vertex, (job, lattice), int(place)), chosen))
     coefficients = np.stack([each for each, _energies in results], axis=1)
+    evaluations = coefficients[..., 0].size * (lattice.sizes[0] // 2)
     finite = np.isfinite(coefficients).all(axis=(0, 2))
+    if not finite.any():
+        return None, np.zeros(0), evaluations
     energies = np.stack([each for _coefficients, each in results])[finite].sum(axis=0)
     left = max(float(energies[PROBE_STAGES[0][1] :].sum() / energies.sum()), 0.0) if energies.sum() > 0.0 else 0.0
     survey = ViewSurvey.of(levels, job.local, coefficients[:, finite], floor, left)
     by_vertex = (coefficients[:, finite] ** 2).mean(axis=(0, 2))
-    return survey, by_vertex, coefficients[..., 0].size * (lattice.sizes[0] // 2)
+    return survey, by_vertex, evaluations
 
 
 @np.errstate(invalid="ignore", over="ignore")

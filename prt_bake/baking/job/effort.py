@@ -6,8 +6,9 @@ from typing import Any
 
 from bakers.transport import transport_kind
 from formats.errors import QueryError
-from prt_bake.baking.job.sampling import DEFAULT_SAMPLES
+from prt_bake.mathematics import sh
 
+DEFAULT_SAMPLES = 64
 DEFAULT_ERROR = 0.02
 """Relative RMSE of an adaptive bake if neither an error, a time nor a number of samples is given."""
 
@@ -27,13 +28,13 @@ class Effort:
 
 
 def choose_effort(
-    transport: Any, directions: str, samples: int | None, error: float | None, minutes: float | None
+    transport: Any, degree: int, directions: str, samples: int | None, error: float | None, minutes: float | None
 ) -> Effort:
-    """The effort of a bake of `transport`; None is an argument that was not given.
+    """The effort of a bake of `transport` to `degree`; None is an argument that was not given.
 
     Without any of them, a transport that evaluates Ŝ over Fibonacci lattices is baked to `DEFAULT_ERROR`; random walks,
-    of which 1/error² are needed, and other directions take 64 samples. Raises QueryError for a time that nothing can
-    use.
+    of which 1/error² are needed, and other directions take 64 samples, or twice as many directions as coefficients.
+    Raises QueryError for a time that nothing can use.
     """
     walks = transport_kind(transport) == "coefficients"
     refinable = directions == "fibonacci" and not walks
@@ -42,7 +43,8 @@ def choose_effort(
             f"minutes: only bakes with fibonacci directions of a transport that evaluates Ŝ can run for a time, found "
             f"{'path tracing' if walks else f'{directions} directions'}; give samples or an error instead"
         )
-    fixed = samples if samples is not None else DEFAULT_SAMPLES
+    default = DEFAULT_SAMPLES if walks else max(DEFAULT_SAMPLES, 2 * sh.count(degree))
+    fixed = samples if samples is not None else default
     unit = "paths" if walks else "directions"
     if error is not None or minutes is not None:
         ignored = "" if samples is None else f"; the {samples} {unit} per view bin are ignored"

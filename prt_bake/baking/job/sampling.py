@@ -18,7 +18,6 @@ from prt_bake.mathematics.random import hashed, uniforms
 
 DirectionKind = Literal["fibonacci", "sobol", "uniform"]
 
-DEFAULT_SAMPLES = 64
 MOST_SAMPLES = 1 << 20
 POOL_SIZE = 256
 SMALLEST_POOL = 32
@@ -44,9 +43,9 @@ def resolve_sampling(
 ) -> Resolved:
     """Chooses the sampling of `transport`: `samples` directions per bin, or random walks if it estimates coefficients.
 
-    The default of 64 is raised to 2K, K = (degree + 1)². The Fibonacci lattice is fitted by least squares and needs at
-    least K directions; Sobol and uniform sets are summed with equal weights. An odd number is rounded up if the error
-    is estimated from two half-size sets. Raises QueryError on an unknown kind of directions or too few of them.
+    The Fibonacci lattice is fitted by least squares and needs at least K = (degree + 1)² directions; Sobol and uniform
+    sets are summed with equal weights. An odd number is rounded up if the error is estimated from two half-size sets.
+    Raises QueryError on an unknown kind of directions or too few of them.
     """
     if samples < 1:
         raise QueryError(f"samples must be at least 1, found {samples}")
@@ -61,8 +60,6 @@ def resolve_sampling(
         raise QueryError(f"directions must be one of {', '.join(get_args(DirectionKind))}, found {directions!r}")
     count = sh.count(degree)
     fitted = directions == "fibonacci"
-    if samples == DEFAULT_SAMPLES:
-        samples = max(samples, 2 * count)
     if fitted and samples < count:
         raise QueryError(
             f"samples: degree {degree} has {count} coefficients and needs as many directions, found {samples}; "

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from bakers.transport import prepared, smooth, transport_kind
@@ -27,7 +27,7 @@ class LobesOfBake:
     """The lobes that a bake will find.
 
     Attributes:
-        entry: for the provenance of the asset.
+        entry: for the provenance of the finished asset.
         seconds: predicted, of the search with all workers; 0 without lobes.
         bytes: in the file before compression.
     """
@@ -37,6 +37,13 @@ class LobesOfBake:
     bytes: int = 0
     _search: LobeSearch | None = None
     _plan: LobePlan | None = None
+
+    @property
+    def entry_before(self) -> dict[str, Any]:
+        """For the provenance of the asset without the lobes, which remains if the bake ends before they are found."""
+        if self._plan is None:
+            return self.entry
+        return {**self.entry, "lobes_in_a_view": 0, "reason": "the bake ended before they were found"}
 
     def add_to(self, asset: Asset, work: Work, store: CheckpointStore) -> Asset | None:
         """The finished asset with its lobes; None if the search was stopped."""
@@ -57,11 +64,11 @@ class LobesOfBake:
         copy, original = work.pruning.copies.T
         for values in (lobes.axes, lobes.sharpness, lobes.powers):
             values[copy] = values[original]
-        asset = with_lobes(asset, lobes)
+        asset = with_lobes(replace(asset, provenance={**asset.provenance, "lobes": self.entry}), lobes)
         if work.out is None:
             return asset
         asset.close()
-        add_lobes_to_file(work.out, work.out, lobes, {}, asset.selftest)
+        add_lobes_to_file(work.out, work.out, lobes, {"lobes": self.entry}, asset.selftest)
         return read_asset(work.out, load=False)
 
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bakers.evaluation import values_on_sets
 from bakers.horizon import VertexFaces, clamp_to_horizon
-from bakers.transport import as_radiance, transport_kind
 from formats.asset import AssetHead
 from formats.asset.lobes import LEAST_SHARPNESS, MOST_SHARPNESS
 from prt_bake.baking.job.views import horizons
@@ -94,15 +94,7 @@ class LobeSearch:
         local, sets = self._halves[half]
         outgoing = self.outgoing(vertices, local)
         positions, rotation = self._mesh.positions[vertices], np.repeat(sets[None], len(vertices), axis=0)
-        shape = (*outgoing.shape[:2], self._pool.shape[1], 3)
-        if transport_kind(self._smooth) == "block":
-            found = self._smooth.evaluate_block(self._pool, rotation, positions, outgoing)
-            values = as_radiance(found, shape, "evaluate_block")
-        else:
-            incident = self._pool[rotation].reshape(-1, *self._pool.shape[1:])
-            at = np.repeat(positions, outgoing.shape[1], axis=0)
-            found = self._smooth.evaluate(incident, at, outgoing.reshape(-1, 3))
-            values = as_radiance(found, (len(at), *shape[2:]), "evaluate").reshape(shape)
+        values = values_on_sets(self._smooth, self._pool, rotation, positions, outgoing)
         largest = np.abs(values).max(axis=(1, 2, 3)).astype(np.float64)
         usable = np.isfinite(largest) & (largest > 0.0)
         scaled = np.zeros(values.shape, np.float32)

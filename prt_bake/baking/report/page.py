@@ -27,11 +27,11 @@ def as_json(rows: list[Row], parts: list[Part], bins: int) -> dict[str, Any]:
         "bins_in_the_asset": bins,
         "rows": [
             {
-                "way": row.method,
+                "method": row.method,
                 "evaluations": row.evaluations,
                 "seconds": row.seconds,
                 "error": row.error,
-                "told": row.reported,
+                "reported": row.reported,
                 "efficiency": row.efficiency,
             }
             for row in rows

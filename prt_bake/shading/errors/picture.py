@@ -88,9 +88,9 @@ def view_error(asset: Asset, light: Array, eye: Any, shares: Array, radiance: Ar
     light: from `light_coefficients`; shares: of the vertices in the picture [V]; radiance and its standard error sigma
     [V,3]. Linear interpolation at the share t between two bins is off by
     ½ t (1 − t) times the second difference of three bins, to leading order. Beyond the centre of the last ring the
-    value is clamped, and compared with a parabola through three rings. Around the normal, see `_pole_error`. Fewer than
-    three rings or four sectors tell nothing. What differences of bins have of the bake's own error is subtracted. The
-    interpolation of lobes is left out.
+    value is clamped, and compared with a parabola through three rings. Around the normal, see `_pole_error`. The error
+    is unknown with fewer than three rings or four sectors. What differences of bins have of the bake's own error is
+    subtracted. The interpolation of lobes is left out.
     """
     if asset.coefficients.shape[1] == 1:
         return 0.0 if len(asset.directions) > 1 else None

@@ -28,8 +28,8 @@ def radiance_error(
     C is the covariance between the errors of a vertex's harmonics, in the frame of the view
     (`formats.asset.error_covariance`). Without one in the asset the errors are independent. Between view bins, errors
     shared by the bins add linearly, and independent errors add in squares. Suns enter by the derivative of their
-    radiance (`suns.sun_gradient`), which is added to b for each vertex. The error of the model itself is not included.
-    Arguments and exceptions are those of `shade_vertices`.
+    radiance (`sun_shading.sun_gradient`), which is added to b for each vertex. The error of the model itself is not
+    included. Arguments and exceptions are those of `shade_vertices`.
     """
     weights = light_coefficients(asset, light)
     vertices = np.flatnonzero(asset.valid if visible is None else asset.valid & visible)

@@ -24,8 +24,8 @@ def vertex_error(asset: Asset, shares: Array, radiance: Array, sigma: Array) -> 
     A vertex deviates from the plane through its neighbours by r₁, and from that through its neighbours' neighbours,
     about twice as far away, by r₂. A face is half as large as the first of these planes: if the deviation goes on to
     fall as it does from r₂ to r₁, that within faces is r₁² / r₂ (Richardson's extrapolation; r₁ / 4 if smooth).
-    Squares are summed over the picture, without the bake's own errors. Meshes whose visible vertices mostly have too
-    few visible neighbours tell nothing.
+    Squares are summed over the picture, without the bake's own errors. The error is unknown if most visible vertices
+    have too few visible neighbours.
     """
     shown = asset.valid & (shares > 0.0)
     vertices = np.flatnonzero(shown)

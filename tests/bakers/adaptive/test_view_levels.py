@@ -162,7 +162,7 @@ def test_pools_reproduce_band_limited_functions_in_every_copy(degree: int) -> No
         noise = np.random.default_rng(size).normal(size=(400, size, 3))
         found, _residuals, residual = pool.fitted(noise, np.zeros(400, np.int64))
         assert residual.mean() == pytest.approx(1.0, abs=0.05)
-        assert (found**2).mean() == pytest.approx(pool.variance_share, rel=0.1)
+        assert (found**2).mean() == pytest.approx((pool.weights**2).sum(axis=1).mean(), rel=0.1)
 
 
 def test_bins_and_their_validation_use_different_copies_evenly() -> None:

@@ -134,14 +134,22 @@ def test_results_do_not_depend_on_workers_or_block_size(
     same(tmp_path / "cut.h5", path)
 
 
-@pytest.mark.parametrize("calls_until_stop", [14, 20])
+@pytest.mark.parametrize(("calls_until_stop", "interrupt"), [(14, False), (20, False), (14, True)])
 def test_a_bake_stopped_among_the_vertices_to_interpolate_from_resumes(
-    whole: Asset, path: Path, tmp_path: Path, calls_until_stop: int, monkeypatch: pytest.MonkeyPatch
+    whole: Asset, path: Path, tmp_path: Path, calls_until_stop: int, interrupt: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # On a slow machine the pilot would check for a stop too.
     monkeypatch.setattr("prt_bake.baking.adaptive.run.UNINTERRUPTED", math.inf)
     out, calls = tmp_path / "stopped.h5", iter([False] * calls_until_stop + [True] * 1000)
-    with bake(Ringed(), MESH, **SMALL, out=out, stop=lambda: next(calls)) as part:
+
+    def stop() -> bool:
+        if not next(calls):
+            return False
+        if interrupt:
+            raise KeyboardInterrupt
+        return True
+
+    with bake(Ringed(), MESH, **SMALL, out=out, stop=stop) as part:
         assert part.complete
         assert part.provenance["estimated_relative_rmse"]["total"] > ERROR
     kept = {path.name[:9] for path in (tmp_path / "stopped.h5.journal").iterdir()}

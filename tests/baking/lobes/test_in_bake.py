@@ -51,9 +51,16 @@ def test_a_bake_stopped_in_its_lobes_resumes(arguments: dict[str, Any], tmp_path
     stopped = prt.bake(Lobed(), MESH, out=path, progress=stop.progress, stop=stop.stop, **arguments)
     assert stopped.complete
     assert stopped.lobes is None
+    with prt.read_asset(path) as kept:
+        for entry in stopped.provenance["lobes"], kept.provenance["lobes"]:
+            assert entry["lobes_in_a_view"] == 0
+            assert entry["reason"] == "the bake ended before they were found"
+    harmonics_alone = bake_report(stopped)["transport_error"]
     assert list(journal_folder(path).glob("lobes-*"))
     resumed = prt.bake(Lobed(), MESH, out=path, resume=True, **arguments)
     assert same(whole, resumed)
+    assert resumed.provenance["lobes"] == whole.provenance["lobes"]
+    assert harmonics_alone["with_lobes"] > bake_report(resumed)["transport_error"]["with_lobes"]
     assert not journal_folder(path).exists()
 
 
