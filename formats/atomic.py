@@ -23,6 +23,7 @@ _REASONS = {
     errno.EROFS: "the disk is read-only; write elsewhere",
     errno.EIO: "the disk reports an input/output error; write elsewhere",
 }
+_KEPT = 60  # letters of a name in its temporary name: of 4 bytes each, they leave room for the rest within 255 bytes
 
 
 def storage_error(path: str | os.PathLike[str], cause: OSError) -> StorageError:
@@ -61,7 +62,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     target = Path(os.path.realpath(path))
     refuse_unwritable(path)
-    part = target.with_name(f".{target.name[:100]}.{secrets.token_hex(4)}.part")
+    part = temporary_path(target)
     try:
         with open(part, "xb"):
             pass
@@ -82,17 +83,25 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
             part.unlink(missing_ok=True)
 
 
+def temporary_path(target: Path) -> Path:
+    """Return a free name beside `target`, which `remove_parts` knows."""
+    return target.with_name(f".{target.name[:_KEPT]}.{secrets.token_hex(4)}.part")
+
+
 def create_folder(folder: Path) -> None:
     """Create the folder of a command's output and those above it. Raises StorageError if that fails."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as cause:
+        raise StorageError(f"{folder}: expected a folder, found a file; choose another folder") from cause
     except OSError as cause:
-        raise StorageError(f"{folder}: cannot be created: {cause.strerror}; choose another folder") from cause
+        reason = _REASONS.get(cause.errno or 0) or f"{cause.strerror}; choose another folder"
+        raise StorageError(f"{folder}: cannot be written: {reason}") from cause
 
 
 def remove_parts(folder: Path, name: str = "*") -> None:
     """Remove the temporary files that killed processes left in a folder while writing `name`, or any file."""
-    for part in folder.glob(f".{name if name == '*' else glob.escape(name[:100])}.????????.part"):
+    for part in folder.glob(f".{name if name == '*' else glob.escape(name[:_KEPT])}.????????.part"):
         with contextlib.suppress(OSError):
             part.unlink()
 

@@ -1,4 +1,4 @@
-"""Triangle soups, the common result of the PLY, OBJ and glTF readers."""
+"""Triangle soups, the common result of the PLY, OBJ, STL and glTF readers."""
 
 from dataclasses import dataclass
 

@@ -61,6 +61,7 @@ _UNKNOWN_OR_ROUGHNESS: Check = (lambda value: value is None or ROUGHNESS[0](valu
 _CHECKS: Mapping[str, Check] = {
     "eta": REFRACTIVE_INDEX,
     "roughness": _UNKNOWN_OR_ROUGHNESS,
+    "seconds": ((lambda value: value is None or is_number(value)), "a number, or null"),
     **dict.fromkeys(("model", "settings", "compression", "estimated_relative_rmse"), TABLE),
 }
 _ERRORS: Mapping[str, Check] = {"total": ERROR_OR_UNKNOWN}

@@ -5,6 +5,7 @@ import json
 import math
 import os
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -20,7 +21,7 @@ from formats.asset.head import FORMULAS
 from formats.asset.lobes import Lobes, write_lobes
 from formats.asset.record import Asset, AssetHead, Storage
 from formats.asset.selftest import write_selftest
-from formats.atomic import replacing
+from formats.atomic import replacing, temporary_path
 from formats.errors import AssetError
 from formats.interrupts import deferred
 
@@ -235,7 +236,7 @@ class AssetWriter:
 
     def _widen(self, reason: str) -> None:
         """Change to float32: start a new file and copy the vertices written so far."""
-        narrow_path = self._part.with_suffix(".narrow.part")
+        narrow_path = temporary_path(Path(os.path.realpath(self._path)))
         self._open.close()
         os.replace(self._part, narrow_path)
         self.storage = "float32"

@@ -133,19 +133,29 @@ def reading(path: str | os.PathLike[str], place: str = "") -> Iterator[None]:
 @contextlib.contextmanager
 def silenced() -> Iterator[None]:
     """Suppress what the OpenEXR library prints to standard output and error."""
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    open_numbers = [number for number in (1, 2) if _is_open(number)]  # before another file takes a free number
     # The binding prints through Python's streams, the library through the file descriptors.
     with open(os.devnull, "wb") as null, contextlib.redirect_stdout(io.StringIO()):
-        saved = [os.dup(stream) for stream in (1, 2)]
+        saved = [os.dup(number) for number in open_numbers]
         try:
-            for stream in (1, 2):
-                os.dup2(null.fileno(), stream)
+            for number in open_numbers:
+                os.dup2(null.fileno(), number)
             yield
         finally:
-            for stream, copy in zip((1, 2), saved, strict=True):
-                os.dup2(copy, stream)
+            for number, copy in zip(open_numbers, saved, strict=True):
+                os.dup2(copy, number)
                 os.close(copy)
+
+
+def _is_open(descriptor: int) -> bool:
+    try:
+        os.fstat(descriptor)
+    except OSError:
+        return False
+    return True
 
 
 def _window(corners: Any) -> Window:

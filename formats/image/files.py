@@ -13,7 +13,16 @@ from formats.errors import ImageError
 from formats.image.exr import Layers, read_exr, read_exr_alpha, read_exr_data, read_exr_layers, write_exr
 from formats.image.exr_header import read_parts
 from formats.image.gamut import Primaries, convert, matrix_to_rec709
-from formats.image.png import COMMAND, read_jpeg, read_jpeg_data, read_png, read_png_alpha, read_png_data, write_png
+from formats.image.png import (
+    COMMAND,
+    read_jpeg,
+    read_jpeg_data,
+    read_png,
+    read_png_alpha,
+    read_png_and_alpha,
+    read_png_data,
+    write_png,
+)
 from formats.image.png_chunks import read_chunks
 from formats.image.rgbe import read_rgbe, refuse_unstorable, write_rgbe
 from formats.text import printable
@@ -84,8 +93,10 @@ def read_layers(path: str | os.PathLike[str]) -> Layers:
     suffix = _suffix(path, "read", READABLE)
     if suffix == ".exr":
         return read_exr_layers(existing(path))
-    alpha = read_png_alpha(existing(path)) if suffix == ".png" else None
-    return Layers(read_image(path), {} if alpha is None else {"A": alpha}, {})
+    if suffix != ".png":
+        return Layers(read_image(path), {}, {})
+    image, primaries, alpha = read_png_and_alpha(existing(path))
+    return Layers(convert(image, matrix_to_rec709(path, primaries)), {} if alpha is None else {"A": alpha}, {})
 
 
 def read_alpha(path: str | os.PathLike[str]) -> NDArray[np.float32] | None:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from formats.errors import ImageError
 from formats.image.encoding import encoding_of
 from formats.image.gamut import Primaries
-from formats.image.stored import read_stored
+from formats.image.stored import Stored, read_stored
 
 COMMAND = "prtbake.command"
 """Name of the text that holds the command of a picture."""
@@ -40,7 +40,7 @@ def read_png(path: str | os.PathLike[str]) -> tuple[NDArray[np.float32], Primari
     Raises:
         ImageError: the file is not PNG, is truncated, or has a curve that is not read (PQ, HLG).
     """
-    return _read_colour(path, "PNG")
+    return _colours(path, read_stored(path, "PNG"))
 
 
 def read_jpeg(path: str | os.PathLike[str]) -> tuple[NDArray[np.float32], Primaries | None]:
@@ -49,7 +49,7 @@ def read_jpeg(path: str | os.PathLike[str]) -> tuple[NDArray[np.float32], Primar
     Raises:
         ImageError: the file is not JPEG, or is truncated.
     """
-    return _read_colour(path, "JPEG")
+    return _colours(path, read_stored(path, "JPEG"))
 
 
 def read_png_alpha(path: str | os.PathLike[str]) -> NDArray[np.float32] | None:
@@ -58,11 +58,15 @@ def read_png_alpha(path: str | os.PathLike[str]) -> NDArray[np.float32] | None:
     Raises:
         ImageError: the file is not PNG, or is truncated.
     """
+    return _alpha(read_stored(path, "PNG"))
+
+
+def read_png_and_alpha(
+    path: str | os.PathLike[str],
+) -> tuple[NDArray[np.float32], Primaries | None, NDArray[np.float32] | None]:
+    """Read what `read_png` and `read_png_alpha` return, and decode the file once; raises as `read_png`."""
     stored = read_stored(path, "PNG")
-    if stored.values.shape[2] in (1, 3):
-        return None
-    alpha = stored.values[..., -1]
-    return None if alpha.min() == stored.highest else (alpha / float(stored.highest)).astype(np.float32)
+    return *_colours(path, stored), _alpha(stored)
 
 
 def read_png_data(path: str | os.PathLike[str]) -> NDArray[np.float64]:
@@ -83,8 +87,7 @@ def read_jpeg_data(path: str | os.PathLike[str]) -> NDArray[np.float64]:
     return _read_data(path, "JPEG")
 
 
-def _read_colour(path: str | os.PathLike[str], kind: str) -> tuple[NDArray[np.float32], Primaries | None]:
-    stored = read_stored(path, kind)
+def _colours(path: str | os.PathLike[str], stored: Stored) -> tuple[NDArray[np.float32], Primaries | None]:
     encoding = encoding_of(path, stored)
     levels = np.arange(stored.highest + 1) / (stored.highest // 255) / 255.0
     decoded = to_linear(levels) if encoding.gamma is None else levels ** (1.0 / encoding.gamma)
@@ -95,6 +98,13 @@ def _read_colour(path: str | os.PathLike[str], kind: str) -> tuple[NDArray[np.fl
     for first in range(0, len(image), _ROWS):
         image[first : first + _ROWS] = linear[colours[first : first + _ROWS]]
     return image, None if grey else encoding.primaries
+
+
+def _alpha(stored: Stored) -> NDArray[np.float32] | None:
+    if stored.values.shape[2] in (1, 3):
+        return None
+    alpha = stored.values[..., -1]
+    return None if alpha.min() == stored.highest else (alpha / float(stored.highest)).astype(np.float32)
 
 
 def _read_data(path: str | os.PathLike[str], kind: str) -> NDArray[np.float64]:

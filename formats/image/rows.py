@@ -15,7 +15,7 @@ from formats.image.exr import read_colour
 from formats.image.exr_rows import open_exr_rows
 from formats.image.files import read_linear
 from formats.image.gamut import Primaries, converted_blocks, matrix_to_rec709
-from formats.image.png import read_png_alpha
+from formats.image.png import read_png_and_alpha
 from formats.image.rgbe import open_rgbe_rows
 
 Block = NDArray[np.floating[Any]]
@@ -97,8 +97,11 @@ def open_linear(path: str | os.PathLike[str]) -> tuple[ImageRows, Primaries | No
         header = hdr.header
         blocks = rows_of(np.concatenate(list(hdr.blocks()))[::-1]).open_blocks if header.upward else hdr.blocks
         return ImageRows(path, header.height, header.width, blocks), header.primaries
-    image, primaries = read_linear(path)
-    if suffix == ".png" and (alpha := read_png_alpha(path)) is not None:
+    if suffix != ".png":
+        image, primaries = read_linear(path)
+        return rows_of(image, path), primaries
+    image, primaries, alpha = read_png_and_alpha(existing(path))
+    if alpha is not None:
         warn(f"{path}: {np.mean(alpha < 1.0):.0%} of the pixels are transparent; their colours are read as if opaque")
     return rows_of(image, path), primaries
 

@@ -88,7 +88,7 @@ def read_stored(path: str | os.PathLike[str], kind: str) -> Stored:
 
 
 @contextmanager
-def _opened(path: str | os.PathLike[str], kind: str, content: bytes = b"") -> "Iterator[Image.Image]":
+def _opened(path: str | os.PathLike[str], kind: str, content: bytes) -> "Iterator[Image.Image]":
     """Open a picture, or the `content` that stands for it; any exception of Pillow becomes an ImageError."""
     from PIL import Image
 

@@ -153,8 +153,9 @@ def _assemble(
     positions, faces, source_vertex = positions[used], new_index[faces], new_index[source_vertex]
     centred = positions - 0.5 * (positions.min(axis=0) + positions.max(axis=0))
     corner_uv = None if soup.corner_uv is None else soup.corner_uv[kept_faces]
+    at_corners = None if soup.corner_normals is None else geometry.normalise(soup.corner_normals[kept_faces])
     of_faces, cancelled = geometry.vertex_normals(centred, faces)
-    given = _given_normals(soup, kept_faces, centred, faces)
+    given = None if at_corners is None else _given_normals(at_corners, centred, faces)
     normals, computed = agreeing_normals(path, given, of_faces, cancelled, lambda: inside_out(centred, faces))
     return Mesh(
         positions=positions,
@@ -165,21 +166,18 @@ def _assemble(
         source_vertex=None if len(used) == len(soup.positions) else source_vertex,
         dropped_faces=int((~kept_faces).sum()),
         cancelled_normals=int((cancelled & computed).sum()),
-        split_normals=int((_split_normals(soup, kept_faces, faces, first_corner) & ~computed).sum()),
-        flat_shaded=_is_flat_shaded(soup, kept_faces, normals[faces], computed),
+        split_normals=0 if at_corners is None else int((_are_split(at_corners, faces, first_corner) & ~computed).sum()),
+        flat_shaded=at_corners is not None and not computed.all() and is_flat_shaded(at_corners, normals[faces]),
     )
 
 
 def _given_normals(
-    soup: TriangleSoup, kept_faces: NDArray[np.bool_], positions: NDArray[np.float64], faces: NDArray[np.int64]
-) -> NDArray[np.float64] | None:
-    """The file's normals averaged at the vertices [V,3]; None if it has none.
+    at_corners: NDArray[np.float64], positions: NDArray[np.float64], faces: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """The file's normals at the corners [F,3,3], averaged at the vertices [V,3].
 
     NaN where one is zero or not finite, or where they cancel out.
     """
-    if soup.corner_normals is None:
-        return None
-    at_corners = geometry.normalise(soup.corner_normals[kept_faces])
     missing = ~(np.abs(at_corners).max(axis=2) > 0.0)
     normals, cancelled = geometry.vertex_normals(positions, faces, np.where(missing[..., None], 0.0, at_corners))
     normals[faces[missing]] = np.nan
@@ -187,25 +185,11 @@ def _given_normals(
     return normals
 
 
-def _is_flat_shaded(
-    soup: TriangleSoup,
-    kept_faces: NDArray[np.bool_],
-    at_corners: NDArray[np.float64],
-    computed: NDArray[np.bool_],
-) -> bool:
-    """Whether the file's normals are used, and those of flat shading. at_corners [F,3,3]: their vertex means."""
-    if soup.corner_normals is None or computed.all():
-        return False
-    return is_flat_shaded(geometry.normalise(soup.corner_normals[kept_faces]), at_corners)
-
-
-def _split_normals(
-    soup: TriangleSoup, kept_faces: NDArray[np.bool_], faces: NDArray[np.int64], first_corner: NDArray[np.int64]
+def _are_split(
+    at_corners: NDArray[np.float64], faces: NDArray[np.int64], first_corner: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
     """Where the file's normals at a vertex differ from those at its first corner [V] by more than `SPLIT_ANGLE`."""
     split = np.zeros(len(first_corner), np.bool_)
-    if soup.corner_normals is not None:
-        at_corners = geometry.normalise(soup.corner_normals[kept_faces])
-        cosines = np.einsum("fci,fci->fc", at_corners, at_corners.reshape(-1, 3)[first_corner[faces]])
-        split[faces[cosines < np.cos(np.radians(SPLIT_ANGLE))]] = True
+    cosines = np.einsum("fci,fci->fc", at_corners, at_corners.reshape(-1, 3)[first_corner[faces]])
+    split[faces[cosines < np.cos(np.radians(SPLIT_ANGLE))]] = True
     return split

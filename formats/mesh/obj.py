@@ -170,15 +170,15 @@ def _soup(tables: _Tables, path: str | os.PathLike[str]) -> TriangleSoup:
     refuse_absent(corners[:, 0], sizes, len(positions), path, lambda face: f"line {tables.lines[face]}", base=1)
     triangles = triangulate(positions, corners[:, 0], sizes, lambda face: f"{path}: line {tables.lines[face]}")
     pairs = np.array(tables.vt, np.float64).reshape(-1, 2)
-    _name_missing(tables, corners[:, 1], sizes, len(pairs), path, "texture coordinates", _UNWRAP)
+    _warn_of_missing_values(tables, corners[:, 1], sizes, len(pairs), path, "texture coordinates", _UNWRAP)
     uv = _corner_values(pairs, corners[triangles, 1])
     vectors = np.array(tables.vn, np.float64).reshape(-1, 3)
-    _name_missing(tables, corners[:, 2], sizes, len(vectors), path, "normals", "those of the faces are used")
+    _warn_of_missing_values(tables, corners[:, 2], sizes, len(vectors), path, "normals", "those of the faces are used")
     normals = _corner_values(vectors, corners[triangles, 2])
     return TriangleSoup(positions, corners[triangles, 0], normals, uv)
 
 
-def _name_missing(
+def _warn_of_missing_values(
     tables: _Tables,
     index: NDArray[np.int64],
     sizes: NDArray[np.int64],

@@ -97,7 +97,7 @@ def _soup(elements: Mapping[str, Columns], path: str | os.PathLike[str]) -> Tria
     elif polygons is not None:
         corner_uv = _corner_uv(faces, polygons, triangles, path)
         if corner_uv is not None:
-            _name_textures(faces.get("texnumber"), path)
+            _warn_of_several_textures(faces.get("texnumber"), path)
     # With an index out of range no attribute is read: `read_mesh` reports the index.
     in_range = len(corners) > 0 and corners.min() >= 0 and corners.max() < len(positions)
     normals = _stack_columns(vertices, ("nx", "ny", "nz")) if in_range else None
@@ -155,7 +155,7 @@ def _corner_uv(
     return np.asarray(pairs.values, np.float64).reshape(-1, 2)[triangles]
 
 
-def _name_textures(numbers: NDArray[np.float64] | Lists | None, path: str | os.PathLike[str]) -> None:
+def _warn_of_several_textures(numbers: NDArray[np.float64] | Lists | None, path: str | os.PathLike[str]) -> None:
     """Warn if faces are mapped to several images, as MeshLab's property texnumber says."""
     if isinstance(numbers, np.ndarray) and len(distinct := np.unique(numbers)) > 1:
         warn(

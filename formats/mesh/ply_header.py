@@ -15,6 +15,7 @@ _TYPES = {
     **{"float32": "f4", "float64": "f8", "int64": "i8", "uint64": "u8", "float16": "f2", "half": "f2"},
 }
 _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
+_DIGITS = 18  # of the number of rows; any such number fits into int64
 
 
 def read_header(content: bytes, path: str | os.PathLike[str]) -> tuple[str, list[Element], int]:
@@ -52,7 +53,9 @@ def _add_line(words: list[str], elements: list[Element], place: str) -> None:
     match words:
         case [] | ["comment" | "obj_info", *_]:
             return
-        case ["element", name, rows] if rows.isdecimal() and all(element.name != name for element in elements):
+        case ["element", name, rows] if (
+            rows.isdecimal() and len(rows) <= _DIGITS and all(element.name != name for element in elements)
+        ):
             elements.append(Element(name, int(rows)))
             return
         case ["property", "list", count_kind, kind, name] if elements and {count_kind, kind} <= _TYPES.keys():
@@ -61,8 +64,8 @@ def _add_line(words: list[str], elements: list[Element], place: str) -> None:
             added = Property(name, _TYPES[kind])
         case _:
             raise MeshError(
-                f"{place}: expected format, a new element or a property of a known type, found {' '.join(words)!r}; "
-                f"export the mesh again"
+                f"{place}: expected format, a new element or a property of a known type, "
+                f"found {' '.join(words)!r:.80}; export the mesh again"
             )
     if any(known.name == added.name for known in elements[-1].properties):
         raise MeshError(

@@ -72,9 +72,11 @@ class SamplesWriter:
             shape = tuple(int(axis) if axis.isdigit() else lengths[axis] for axis in axes)
             if array.shape != shape:
                 raise SamplesError(f"{self._path}: {name} has shape {list(array.shape)}; expected {list(shape)}")
-            if not np.isfinite(array).all():
-                raise SamplesError(f"{self._path}: {name} has values that are not finite")
-            blocks[name] = array.astype(kind)
+            with np.errstate(over="ignore", invalid="ignore"):
+                block = array.astype(kind)
+            if not (np.isfinite(array).all() and np.isfinite(block).all()):
+                raise SamplesError(f"{self._path}: {name} has values that are not finite in {block.dtype}")
+            blocks[name] = block
         with self._guarded():
             file = self._writable()
             for name, block in blocks.items():

@@ -116,8 +116,8 @@ def _sentence(error: "ErrorDetails", path: list[int | str], found: object) -> st
 
 def expected(key: str) -> str:
     """Describe the values that a key such as "medium.albedo" may have."""
-    parts = key.split(".")
-    return _EXPECTED.get(".".join(parts[-2:])) or _EXPECTED[parts[-1]]
+    names = [part for part in key.split(".") if not part.isdigit()]
+    return _EXPECTED.get(".".join(names[-2:])) or _EXPECTED[names[-1]]
 
 
 def refuse_quoted_number(path: Path, key: str, name: str) -> None:

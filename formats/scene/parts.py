@@ -81,7 +81,7 @@ def read_parts(tables: SceneFile, path: Path) -> tuple[Part, ...]:
 def _outermost(tables: SceneFile, path: Path) -> Part:
     mesh_path = named_file(path, tables.object.mesh)
     mesh, was_flipped = _closed_mesh(mesh_path, path, "object.mesh")
-    _name_rounded_edges(mesh, tables.interface, f"{path}: interface.normals: {mesh_path}")
+    _warn_of_rounded_edges(mesh, tables.interface, f"{path}: interface.normals: {mesh_path}")
     return Part(
         name=OUTERMOST,
         parent=-1,
@@ -108,7 +108,7 @@ def _inner(tables: SceneFile, index: int, parent_index: int, parent: Part, path:
     mesh, was_flipped = _closed_mesh(mesh_path, path, f"{key}.mesh")
     _refuse_outside(mesh, parent, f"{path}: {key}.mesh: {mesh_path}")
     interface = table.interface or InterfaceTable()
-    _name_rounded_edges(mesh, interface, f"{path}: {key}.interface.normals: {mesh_path}")
+    _warn_of_rounded_edges(mesh, interface, f"{path}: {key}.interface.normals: {mesh_path}")
     diffuse = _reflectance(table, mesh, path, key) if table.surface == "diffuse" else None
     context = MediumContext(path, f"{key}.medium", mesh.bounds, tables.object)
     medium = clear_medium() if table.medium is None else read_medium(table.medium, context)
@@ -188,7 +188,7 @@ def _refuse_outside(mesh: Mesh, parent: Part, where: str) -> None:
         )
 
 
-def _name_rounded_edges(mesh: Mesh, interface: InterfaceTable, where: str) -> None:
+def _warn_of_rounded_edges(mesh: Mesh, interface: InterfaceTable, where: str) -> None:
     """Warn if the boundary has vertex normals and the file has several at a vertex, of which a mesh has the mean."""
     if interface.normals == "vertex" and mesh.split_normals:
         warn(

@@ -19,7 +19,7 @@ _Colour = Annotated[tuple[_Unit, _Unit, _Unit], Strict(False)]
 class Table(BaseModel):
     """A table without unknown keys."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, populate_by_name=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class ObjectTable(Table):

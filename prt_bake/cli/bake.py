@@ -19,6 +19,7 @@ from prt_bake.cli.shared.plan import lobes_sentence, plan_lines
 from prt_bake.cli.shared.progress import Stop, bake_progress, reporting, say, stopping
 
 if TYPE_CHECKING:
+    from formats.asset import Asset
     from prt_bake.baking.bake import Progress
 
 OTHER_EFFORTS = "; --error, --minutes or --samples choose another"
@@ -155,7 +156,7 @@ def bake(
         walks_here = source.suffix.lower() == ".toml" and scheduler is None and device == "cpu"
         workers = (os.cpu_count() or 1) if walks_here else 1
     sampling = (degree, rings, sectors, directions, samples)
-    effort = baking.choose_effort(transport, directions, samples, error, minutes)
+    effort = baking.choose_effort(transport, degree, directions, samples, error, minutes)
     shared: Any = {
         "precision": precision,
         "storage": storage,
@@ -200,29 +201,8 @@ def bake(
     if report is not None:
         write_report(summary, report)
     written = Path(asset.coefficients.file.filename)
-    rmse = summary["estimated_relative_rmse"]
-    figures = "unknown"
-    if rmse["total"] is not None:
-        figures = f"{rmse['total']:.2%}, 95th percentile over vertices {rmse['percentile_95_over_vertices']:.2%}"
-    print(
-        f"{written}: {summary['vertices_baked']} of {summary['vertices']} vertices in {summary['seconds']:.1f} s, "
-        f"estimated relative RMSE of the {'path tracing' if 'walks' in summary else 'projection'} {figures}"
-    )
-    if "walks" not in summary:
-        print(f"error of the coefficients {asset.error}")
-    for remark in _remarks(summary):
-        print(remark)
-    if not asset.complete:
-        ended = "the bake was stopped" if stop() else "its time ended before every vertex was baked"
-        raise PrtbakeError(
-            f"{written}: {ended}; the file is a valid partial asset; "
-            f"the same command with --resume continues from {journal_folder(output).name} beside it"
-        )
-    if stop() and journal_folder(output).is_dir():
-        raise PrtbakeError(
-            f"{written}: the bake was stopped before it was finished; the asset is complete, but coarser or without "
-            f"lobes; the same command with --resume continues from {journal_folder(output).name} beside it"
-        )
+    _print_outcome(asset, written, summary)
+    _refuse_unfinished(asset, written, journal_folder(output), stop())
     eye = () if for_eye is None else ("--eye", ",".join(map(str, for_eye)))
     say_next_of_asset(written, *eye, lights=() if for_light is None else (for_light,))
 
@@ -266,6 +246,36 @@ def _light(sky: Path, degree: int, up: str) -> Any:
     from prt_bake.lights import environment
 
     return Light(environment.project(environment.open_environment(sky, say=say), degree, up), sky.name, sha256(sky))
+
+
+def _print_outcome(asset: "Asset", written: Path, summary: dict[str, Any]) -> None:
+    rmse = summary["estimated_relative_rmse"]
+    figures = "unknown"
+    if rmse["total"] is not None:
+        figures = f"{rmse['total']:.2%}, 95th percentile over vertices {rmse['percentile_95_over_vertices']:.2%}"
+    print(
+        f"{written}: {summary['vertices_baked']} of {summary['vertices']} vertices in {summary['seconds']:.1f} s, "
+        f"estimated relative RMSE of the {'path tracing' if 'walks' in summary else 'projection'} {figures}"
+    )
+    if "walks" not in summary:
+        print(f"error of the coefficients {asset.error}")
+    for remark in _remarks(summary):
+        print(remark)
+
+
+def _refuse_unfinished(asset: "Asset", written: Path, journal: Path, stopped: bool) -> None:
+    """Raise PrtbakeError for a bake that ended before it was finished, and say how to continue it."""
+    if not asset.complete:
+        ended = "the bake was stopped" if stopped else "its time ended before every vertex was baked"
+        raise PrtbakeError(
+            f"{written}: {ended}; the file is a valid partial asset; "
+            f"the same command with --resume continues from {journal.name} beside it"
+        )
+    if stopped and journal.is_dir():
+        raise PrtbakeError(
+            f"{written}: the bake was stopped before it was finished; the asset is complete, but coarser or without "
+            f"lobes; the same command with --resume continues from {journal.name} beside it"
+        )
 
 
 def _remarks(summary: dict[str, Any]) -> Iterator[str]:

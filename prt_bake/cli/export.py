@@ -114,7 +114,7 @@ def export(
 
         asset = read_asset(source[0])
         stated = _stated(asset, light or [], mend)
-        exported = prepare_export(asset, degree, error, quantize, stated, bool(light), halves=target == "exr")
+        exported = prepare_export(asset, degree, error, quantize, stated, halves=target == "exr")
         if target == "exr":
             write_textures(asset, output, exported)
         else:
@@ -174,7 +174,7 @@ def _stated(asset: "Asset", lights: list[str], mend: bool) -> "StatedLight | Non
 
     lighting = read_lighting(lights, asset.up, mend=mend, say=say, mesh=asset.mesh, degree=asset.degree)
     names = [Path(light).name for light in lights]
-    return StatedLight(" + ".join(names), suns_apart(lighting, asset.degree, "plain").harmonics, 1.0)
+    return StatedLight(" + ".join(names), suns_apart(lighting, asset.degree, "plain").harmonics)
 
 
 def _print_error(source: Path, output: Path, exported: Any) -> None:

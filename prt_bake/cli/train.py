@@ -18,7 +18,9 @@ from prt_bake.cli.shared.progress import reporting, say, stopping
 from prt_bake.network.file_names import importance_path, report_paths, state_path
 
 if TYPE_CHECKING:
+    from formats.scene import Scene
     from prt_bake.network.model import Model
+    from prt_bake.trainer.budget import Budget
     from prt_bake.trainer.train import TrainingProgress
 
 
@@ -130,7 +132,6 @@ def train(
 
     from formats.scene import read_scene
     from prt_bake.cli.shared import after_training
-    from prt_bake.importance.own_lobes import own_lobes
     from prt_bake.network.bssrdf import load_model
     from prt_bake.network.settings import PRESETS
     from prt_bake.trainer.budget import Budget
@@ -188,15 +189,7 @@ def train(
             print(f"{output}: {sentence}")
         if network.metadata["training"]["stopped"]:
             raise PrtbakeError(f"{output}: the training was stopped; the model is written, and {_to_go_on(network)}")
-        reported = False
-        with suppress(KeyboardInterrupt), nullcontext() if budget is None else budget.counting_compilation():
-            if with_report:
-                module = with_importance and own_lobes(network) is None
-                reported = after_training.report(network, read, output, seed, budget, module)
-            if with_importance:
-                after_training.importance(network, read, output, seed, budget)
-        if not reported:
-            print(f"{output}: {after_training.quality_of(network)}")
+        _measure(network, read, output, seed, budget, with_report, with_importance)
         if stop():
             raise PrtbakeError(f"{output}: the model is complete, and what should follow it was stopped")
     on = ("--device", device) if device == "cuda" else ()
@@ -223,6 +216,30 @@ def _refuse_ineffective(
     if baseline not in FROM_PICTURES:
         names = " and ".join(FROM_PICTURES)
         raise typer.BadParameter(f"--light: is for --baseline {names}; omit it, since other models learn for all light")
+
+
+def _measure(
+    network: "Model",
+    read: "Scene",
+    output: Path,
+    seed: int,
+    budget: "Budget | None",
+    with_report: bool,
+    with_importance: bool,
+) -> None:
+    """Write the report of a model and its importance module; Ctrl-C ends both."""
+    from prt_bake.cli.shared import after_training
+    from prt_bake.importance.own_lobes import own_lobes
+
+    reported = False
+    with suppress(KeyboardInterrupt), nullcontext() if budget is None else budget.counting_compilation():
+        if with_report:
+            module = with_importance and own_lobes(network) is None
+            reported = after_training.report(network, read, output, seed, budget, module)
+        if with_importance:
+            after_training.importance(network, read, output, seed, budget)
+    if not reported:
+        print(f"{output}: {after_training.quality_of(network)}")
 
 
 def _to_go_on(network: "Model") -> str:

@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 
 from formats.errors import QueryError
 from formats.extras import require
+from formats.image.gamut import LUMINANCE
 
 Array = NDArray[np.float64]
 
 PIXELS_PER_DEGREE = 67.0
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _TONE_MAPPED = 0.85
 """Tone-mapped value of the brightest pixel at the first exposure, and of the median pixel at the last."""
 _ACES = (0.9036, 0.018, 0.0, 0.8748, 0.354, 0.14)
@@ -67,7 +67,7 @@ def paper_exposures(reference: Array) -> Exposures:
     excludes black pixels if they are half of the picture or more, for which the paper's range is infinite. A black
     reference has the range 0 to 0.
     """
-    luminance = np.maximum(reference, 0.0) @ _LUMINANCE
+    luminance = np.maximum(reference, 0.0) @ LUMINANCE
     largest, median = float(luminance.max()), float(np.median(luminance))
     if not largest > 0.0:
         return Exposures(0.0, 0.0, 2)

@@ -13,11 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.errors import QueryError
 from formats.image.exr import Layers
+from formats.image.gamut import LUMINANCE
 from prt_bake.comparison.metrics import Comparison, compare
 
 MIDDLE_GREY = 0.18
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Luminance of linear Rec.709."""
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,16 @@ _BRIGHT = 99.0
 
 
 class Exported(NamedTuple):
-    """What is written: the engine form as a reader finds it, its codes if it is quantised, its error, its JSON."""
+    """What is written: the engine form as a reader finds it, its codes if it is quantised, its error, its JSON.
+
+    colours [V,3]: those of the vertices, under the light that `extras` states.
+    """
 
     form: EngineForm
     codes: Quantized | None
     error: FormError
     extras: dict[str, Any]
+    colours: NDArray[np.float32]
 
 
 def prt_attributes(

@@ -13,7 +13,7 @@ from formats.atomic import replacing
 from formats.errors import QueryError, refuse_path
 from formats.image.exr import write_exr_halves
 from formats.json_report import write_report
-from prt_bake.export.attributes import Exported, vertex_colours
+from prt_bake.export.attributes import Exported
 from prt_bake.export.engine_errors import FormError
 from prt_bake.export.engine_form import EngineForm
 from prt_bake.export.extras import StatedLight
@@ -66,8 +66,8 @@ def export_exr(
     >>> error = prt.export_exr(prt.read_asset("spot.h5"), "spot.exr")
     """
     refuse_path("asset", asset, "prt.read_asset")
-    shown = None if light is None else StatedLight(light_name, light_coefficients(asset, light), 1.0)
-    exported = prepare_export(asset, degree, error, None, shown, folded=light is not None, halves=True)
+    shown = None if light is None else StatedLight(light_name, light_coefficients(asset, light))
+    exported = prepare_export(asset, degree, error, None, shown, halves=True)
     write_textures(asset, path, exported)
     return exported.error
 
@@ -82,12 +82,10 @@ def write_textures(asset: Asset, path: str | os.PathLike[str], exported: Exporte
     """Write an export that was prepared with `halves`."""
     texture, description, mesh = texture_files(path)
     layout = layout_of(exported.form)
-    colours, scale = vertex_colours(asset, np.array(exported.extras["light"]["coefficients"]))
     entries = {name: entry for name, entry in exported.extras.items() if name not in _OF_ATTRIBUTES}
-    entries["light"] = entries["light"] | {"colour_scale": scale}
     entries["texture"] = layout._asdict()
     buffer = Buffer()
-    document = mesh_document(asset, buffer, first_texels(len(asset.valid), layout), colours)
+    document = mesh_document(asset, buffer, first_texels(len(asset.valid), layout), exported.colours)
     with replacing(texture) as part:
         write_exr_halves(part, texels_of(exported.form, layout))
     write_glb(mesh, document, buffer)

@@ -31,14 +31,10 @@ _TEST_DIRECTIONS = np.array(
 
 
 class StatedLight(NamedTuple):
-    """The light of the vertex colours.
-
-    name: of its file, or in one word. coefficients [K,3]. colour_scale: vertex colours are radiance times this number.
-    """
+    """The light of the vertex colours. name: of its file, or in one word. coefficients [K,3]."""
 
     name: str
     coefficients: Array
-    colour_scale: float
 
 
 def texels(vertices: int) -> tuple[int, int]:
@@ -54,7 +50,7 @@ def texel_coordinates(vertices: int) -> NDArray[np.float32]:
     return np.stack([(number % width + 0.5) / width, (number // width + 0.5) / height], axis=1).astype(np.float32)
 
 
-def extras(asset: Asset, form: EngineForm, error: FormError, light: StatedLight) -> dict[str, Any]:
+def extras(asset: Asset, form: EngineForm, error: FormError, light: StatedLight, colour_scale: float) -> dict[str, Any]:
     """The JSON of an exported asset; docs/reference/gltf.md describes it."""
     width, height = texels(len(asset.valid))
     highest = max(form.view_degree, form.light_degree)
@@ -82,7 +78,7 @@ def extras(asset: Asset, form: EngineForm, error: FormError, light: StatedLight)
         "light": {
             "name": light.name,
             "coefficients": light.coefficients.tolist(),
-            "colour_scale": light.colour_scale,
+            "colour_scale": colour_scale,
         },
         "error": dataclasses.asdict(error),
         "asset_error": str(asset.error),

@@ -60,8 +60,8 @@ def export_gltf(
     >>> error = prt.export_gltf(prt.read_asset("spot.h5"), "spot.glb")
     """
     refuse_path("asset", asset, "prt.read_asset")
-    shown = None if light is None else StatedLight(light_name, light_coefficients(asset, light), 1.0)
-    exported = prepare_export(asset, degree, error, quantize, shown, folded=light is not None)
+    shown = None if light is None else StatedLight(light_name, light_coefficients(asset, light))
+    exported = prepare_export(asset, degree, error, quantize, shown)
     write_gltf(asset, path, exported, onto)
     return exported.error
 
@@ -72,18 +72,19 @@ def prepare_export(
     error: float | None,
     quantize: str | None,
     light: StatedLight | None,
-    folded: bool,
     halves: bool = False,
 ) -> Exported:
-    """Compute what `write_gltf` writes and, with `halves`, `write_textures`. light: of the vertex colours, by default
-    the shipped sky, and of the form if `folded`.
+    """Compute what `write_gltf` writes and, with `halves`, `write_textures`.
+
+    light: folded into the form, and that of the vertex colours. None keeps every light; the colours are then those
+    under the shipped sky.
     """
     if degree is not None and error is not None:
         raise QueryError("degree and error: error chooses the degree; give one of them")
     if quantize not in (None, "int8"):
         raise QueryError(f"quantize: expected 'int8' or None, found {quantize!r}")
+    into = None if light is None else light.coefficients
     light = light or _default_light(asset)
-    into = light.coefficients if folded else None
     if error is not None:
         degree = degree_for(asset, error, into)
     form = engine_form(asset, DEFAULT_DEGREE if degree is None else degree, into)
@@ -93,10 +94,11 @@ def prepare_export(
         warn_of_bright_vertices(exact, form)
     form = in_halves(form) if halves else form
     measured = form_error(asset, form, light.coefficients, into)
-    entries = extras(asset, form, measured, light)
+    colours, scale = vertex_colours(asset, light.coefficients)
+    entries = extras(asset, form, measured, light, scale)
     if codes is not None:
         entries |= {"quantize": "int8", "scales": codes.scales.astype(float).tolist()}
-    return Exported(form, codes, measured, entries)
+    return Exported(form, codes, measured, entries, colours)
 
 
 def write_gltf(
@@ -109,12 +111,10 @@ def write_gltf(
         write_onto(asset, onto, path, exported)
         return
     buffer = Buffer()
-    colours, scale = vertex_colours(asset, np.array(exported.extras["light"]["coefficients"]))
-    entries = exported.extras | {"light": exported.extras["light"] | {"colour_scale": scale}}
-    document = mesh_document(asset, buffer, texel_coordinates(len(asset.valid)), colours)
+    document = mesh_document(asset, buffer, texel_coordinates(len(asset.valid)), exported.colours)
     written = document["meshes"][0]
     written["primitives"][0]["attributes"] |= prt_attributes(buffer, exported)
-    written["extras"] = {"prtbake": entries}
+    written["extras"] = {"prtbake": exported.extras}
     write_glb(path, document, buffer)
 
 
@@ -153,9 +153,9 @@ def mesh_document(
 def _default_light(asset: Asset) -> StatedLight:
     """The shipped sky, upright for the asset; for an asset of one light, that light."""
     if asset.quantity == "radiance":
-        return StatedLight("the light of the asset", np.ones((1, 3)), 1.0)
+        return StatedLight("the light of the asset", np.ones((1, 3)))
     sky = project(read_environment(example(SKY)), asset.degree, asset.up)
-    return StatedLight(f"{SKY} of prtbake", sky, 1.0)
+    return StatedLight(f"{SKY} of prtbake", sky)
 
 
 def _node(asset: Asset, origin: Array) -> dict[str, Any]:

@@ -6,8 +6,8 @@ baked vertex at the same place, where object space is the scene of the file at r
 
 import copy
 import json
+import math
 import os
-import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,8 @@ import numpy as np
 from formats.asset import Asset
 from formats.atomic import existing
 from formats.errors import MeshError
-from formats.mesh.gltf.container import open_gltf
-from prt_bake.export.attributes import Exported, prt_attributes, vertex_colours
+from formats.mesh.gltf.container import GltfFile, open_gltf
+from prt_bake.export.attributes import Exported, prt_attributes
 from prt_bake.export.baked_nodes import BakedNode, baked_nodes
 from prt_bake.export.extras import selftest, texel_coordinates
 from prt_bake.export.glb import Buffer, write_glb
@@ -40,15 +40,15 @@ def write_onto(asset: Asset, user: str | os.PathLike[str], path: str | os.PathLi
     """
     if Path(user).suffix.lower() != ".glb":
         raise MeshError(f"{user}: expected a .glb file to export onto; export the object as .glb, and bake that file")
-    nodes = baked_nodes(open_gltf(existing(user)), asset.mesh)
-    document, buffer = _opened(user)
+    file = open_gltf(existing(user))
+    nodes = baked_nodes(file, asset.mesh)
+    document, buffer = _opened(file)
     meshes = _own_meshes(document, nodes)
     for mesh in meshes:
         _refuse_earlier_export(mesh, user)
     shown = [mesh["primitives"][number] for mesh, node in zip(meshes, nodes, strict=True) for number in node.shown]
     texel = _texel_set(shown)
-    colours, scale = vertex_colours(asset, np.array(exported.extras["light"]["coefficients"]))
-    columns = {"COLOR_0": colours, f"TEXCOORD_{texel}": texel_coordinates(len(asset.valid))}
+    columns = {"COLOR_0": exported.colours, f"TEXCOORD_{texel}": texel_coordinates(len(asset.valid))}
     for mesh, node in zip(meshes, nodes, strict=True):
         for accessor, vertices in node.vertices.items():
             primitives = [mesh["primitives"][number] for number in node.shown]
@@ -67,32 +67,38 @@ def write_onto(asset: Asset, user: str | os.PathLike[str], path: str | os.PathLi
         entries = exported.extras | {
             "texel_attribute": f"TEXCOORD_{texel}",
             "local_to_object": node.to_object.ravel().tolist(),
-            "light": exported.extras["light"] | {"colour_scale": scale},
             "selftest": selftest(asset, exported.form, used),
         }
         mesh.setdefault("extras", {})["prtbake"] = entries
     write_glb(path, document, buffer)
 
 
-def _opened(path: str | os.PathLike[str]) -> tuple[Record, Buffer]:
-    """Return the JSON and the buffer of a file that `open_gltf` has read; raises MeshError if parts are in others."""
-    with open(path, "rb") as file:
-        content = file.read()
-    if content[:4] != b"glTF":
-        raise MeshError(f"{path}: expected binary glTF, found glTF as text; export it as .glb")
-    (length,) = struct.unpack_from("<I", content, 12)
-    document: Record = json.loads(content[20 : 20 + length].rstrip(b"\0").decode("utf-8-sig"))
+def _opened(file: GltfFile) -> tuple[Record, Buffer]:
+    """Return the JSON and the buffer of a file.
+
+    Raises MeshError if the file is no GLB, has parts in other files, or numbers that JSON cannot hold.
+    """
+    if file.text is None:
+        raise MeshError(f"{file.path}: expected binary glTF, found glTF as text; export it as .glb")
+
+    def finite(number: str) -> float:
+        value = float(number)
+        if not math.isfinite(value):
+            remedy = "correct it or remove it in the program that wrote the file"
+            raise MeshError(f"{file.path}: JSON: expected finite numbers, found {number}; {remedy}")
+        return value
+
+    document: Record = json.loads(file.text, parse_float=finite, parse_constant=finite)
     remedy = "export it as one .glb file"
     images = document.get("images")
     for index, image in enumerate(images if isinstance(images, list) else []):
         uri = str(image.get("uri", "data:")) if isinstance(image, dict) else "data:"
         if uri[:5].lower() != "data:":
-            raise MeshError(f"{path}: images[{index}]: is in another file, {uri[:80]!r}; {remedy}")
-    if len(document["buffers"]) > 1 or "uri" in document["buffers"][0]:
-        raise MeshError(f"{path}: buffers: expected the binary chunk alone, found others; {remedy}")
-    start = 28 + length
-    binary = content[start : start + document["buffers"][0]["byteLength"]]
-    return document, Buffer(binary, document["accessors"], document["bufferViews"])
+            raise MeshError(f"{file.path}: images[{index}]: is in another file, {uri[:80]!r}; {remedy}")
+    first, *others = file.records.buffers
+    if others or first.uri is not None or file.binary is None:
+        raise MeshError(f"{file.path}: buffers: expected the binary chunk alone, found others; {remedy}")
+    return document, Buffer(bytes(file.binary[: first.byteLength]), document["accessors"], document["bufferViews"])
 
 
 def _own_meshes(document: Record, nodes: Sequence[BakedNode]) -> list[Record]:

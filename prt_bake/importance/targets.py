@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bakers.evaluation import values_at
 from formats.errors import ModelError
+from formats.image.gamut import LUMINANCE
 from formats.mesh import Mesh
 from prt_bake.mathematics.directions import on_sphere, rotations
 from prt_bake.mathematics.random import uniforms
@@ -23,8 +24,6 @@ RINGS, SECTORS = 32, 64
 DIRECTIONS = RINGS * SECTORS
 QUERIES_PER_BLOCK = 256
 TURNS = 8
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Weights of linear Rec.709 RGB."""
 _QUERY_STREAM, _TURN_STREAM = 0x1B0, 0x1B1
 
 Array = NDArray[np.float64]

@@ -23,11 +23,12 @@ from numpy.typing import NDArray
 from formats.errors import FormatError, QueryError, StorageError
 from formats.image import read_layers
 from formats.image.exr import Layers
+from formats.image.gamut import LUMINANCE
 from prt_bake.comparison.alpha import premultiplied
 from prt_bake.comparison.metrics import checked, compare
 from prt_bake.comparison.noise import PixelErrors, errors_of, same_random_numbers, unusable_reason
 from prt_bake.comparison.noise_free import compare_without_noise
-from prt_bake.comparison.object_figures import LUMINANCE, MIDDLE_GREY
+from prt_bake.comparison.object_figures import MIDDLE_GREY
 from prt_bake.mathematics.noise_free import Interval, ratio
 from prt_bake.olat.description import NAME, read_dataset
 from prt_bake.olat.pictures import SKIES, TEST

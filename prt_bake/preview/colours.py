@@ -3,8 +3,6 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from formats.image.png import to_linear
-
 _FROM_ZERO = np.array([[24, 15, 62], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]]) / 255.0
 _ABOUT_ZERO = np.array([[33, 102, 214], [146, 197, 242], [240, 240, 240], [250, 178, 112], [200, 62, 16]]) / 255.0
 VALID, NOT_VALID = np.array([104, 178, 132]) / 255.0, np.array([214, 40, 100]) / 255.0
@@ -18,11 +16,6 @@ def from_zero(values: ArrayLike) -> NDArray[np.float64]:
 def about_zero(values: ArrayLike) -> NDArray[np.float64]:
     """Return sRGB [...,3] of values from −1 (blue) through 0 (white) to 1 (red), clamped."""
     return _interpolate(_ABOUT_ZERO, 0.5 + 0.5 * np.asarray(values, np.float64))
-
-
-def as_light(srgb: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the linear values that show these colours at an exposure of 0 EV."""
-    return to_linear(srgb)
 
 
 def _interpolate(anchors: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:

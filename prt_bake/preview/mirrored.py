@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.asset import Asset
+from prt_bake.mathematics.box_filter import box_filter, zone
 
 ALBEDOS = 32
 """Angles of a table of directional albedo."""
@@ -82,20 +83,9 @@ def directional_albedo(interface: Interface) -> NDArray[np.float64]:
 def resampled_sky(picture: NDArray[np.float32], rows: int) -> NDArray[np.float64]:
     """Resample a lat-long picture to [rows,2·rows,3] by box filtering, weighted by solid angle."""
     height, width = picture.shape[:2]
-    sine = np.sin(math.pi * (np.arange(height) + 0.5) / height)
-    down = _overlaps(height, rows) * sine
-    down /= down.sum(axis=1, keepdims=True)
-    across = _overlaps(width, 2 * rows)
-    across /= across.sum(axis=1, keepdims=True)
-    return np.asarray(np.einsum("wv,hvc->hwc", across, np.tensordot(down, picture, axes=1), optimize=True))
-
-
-def _overlaps(count: int, fewer: int) -> NDArray[np.float64]:
-    """Return the overlap of each of `count` equal intervals of a line with each of `fewer` ones [fewer,count]."""
-    edges, others = np.arange(count + 1) / count, np.arange(fewer + 1) / fewer
-    low = np.maximum(edges[None, :-1], others[:-1, None])
-    high = np.minimum(edges[None, 1:], others[1:, None])
-    return np.asarray(np.maximum(high - low, 0.0))
+    down, across = box_filter(height, rows, zone), box_filter(width, 2 * rows, np.subtract)
+    zones = (down @ picture.reshape(height, -1)).reshape(rows, width, 3)
+    return np.stack([across @ line for line in zones])
 
 
 def _lobe(cosine: NDArray[np.float64], alpha: float) -> NDArray[np.float64]:

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
-from formats.mesh import Mesh
+from formats.mesh import Mesh, signed_volume
+from formats.mesh.edges import edges_of
 from prt_bake.lights import environment
 from prt_bake.shading.asset_light import AssetLight
 
@@ -126,13 +127,7 @@ def _rotated(light: AssetLight, rotation: float, up: str) -> AssetLight:
 
 def is_closed(mesh: Mesh) -> bool:
     """Whether the mesh is closed, consistently oriented and outward: from outside, no face is seen from behind."""
-    faces = mesh.faces.astype(np.int64)
-    starts, ends = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    edges, reverse = (np.sort(a * len(mesh.positions) + b) for a, b in ((starts, ends), (ends, starts)))
-    if not np.array_equal(edges, reverse):
-        return False
-    corners = mesh.positions[faces] - mesh.center
-    return float(np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) > 0.0
+    return edges_of(mesh.faces).closed and signed_volume(mesh) > 0.0
 
 
 def facing(mesh: Mesh, eye: NDArray[np.float64]) -> NDArray[np.bool_]:

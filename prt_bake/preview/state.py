@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
 from formats.errors import QueryError
+from formats.image.png import to_linear
 from prt_bake.geometry import camera
 from prt_bake.lights import environment
 from prt_bake.mathematics import sh
@@ -282,7 +283,7 @@ class Preview:
         """
         buffer, valid = self._colours, self.asset.valid
         if self.mode is Mode.VALID:
-            buffer[:, :3] = colours.as_light(np.where(valid[:, None], colours.VALID, colours.NOT_VALID))
+            buffer[:, :3] = to_linear(np.where(valid[:, None], colours.VALID, colours.NOT_VALID))
             buffer[:, 3] = 1.0
             return buffer
         self._refuse_inside(np.asarray(eye, np.float64))
@@ -295,7 +296,7 @@ class Preview:
         if self._scale_end is None:  # the scale stays while the eye moves
             self._scale_end = float(np.quantile(np.abs(values[valid]), _SCALE_QUANTILE)) or 1.0
         ramp = colours.from_zero if self.mode is Mode.ERROR else colours.about_zero
-        buffer[:, :3] = colours.as_light(ramp(values / self._scale_end)) * valid[:, None]
+        buffer[:, :3] = to_linear(ramp(values / self._scale_end)) * valid[:, None]
         return buffer
 
     def refine(self, eye: ArrayLike, seconds: float = math.inf) -> bool:
@@ -358,7 +359,7 @@ class Preview:
         signal = math.sqrt(float((radiance[self.asset.valid] ** 2).mean()))
         light = None
         if self.light is not None and self.relightable:
-            light = environment.rotate_light(self.light.harmonics, self.rotation)
+            light = environment.rotate_light(self.light.harmonics, self.rotation, self.asset.up)
         outgoing = np.asarray(eye, np.float64) - self.asset.mesh.positions
         error = radiance_error(self.asset, light, outgoing)
         return np.asarray(np.sqrt((error**2).mean(axis=1)) / (signal or 1.0), np.float64)

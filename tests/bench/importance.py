@@ -16,11 +16,11 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from formats.image.gamut import LUMINANCE
 from formats.mesh import read_mesh
 from prt_bake.importance.fit import descend, gather
 from prt_bake.importance.loss import TargetTensors, assess, assess_constant, uniform_fitness
 from prt_bake.importance.module import IMPORTANCE_PRESETS, ImportanceModule, ImportanceSettings
-from prt_bake.importance.targets import LUMINANCE
 from prt_bake.network.bssrdf import NeuralBSSRDF, load_model
 
 MEASURED, PAPER = IMPORTANCE_PRESETS["measured"], IMPORTANCE_PRESETS["paper"]

@@ -105,6 +105,18 @@ def test_the_error_counts_compression(run_node: RunNode, tmp_path: Path) -> None
     assert float(found[1]) == pytest.approx(100 * bake, abs=0.06)
 
 
+def test_unknown_errors_are_called_so_and_path_traced_assets_have_no_network(run_node: RunNode, tmp_path: Path) -> None:
+    asset = smooth_asset()
+    asset.provenance["estimated_relative_rmse"] = {"total": None}
+    write_asset(compress(asset, 0.005), tmp_path / "unknown.h5")
+    asset.provenance.update(walks=100, estimated_relative_rmse={"total": 0.013})
+    write_asset(asset, tmp_path / "traced.h5")
+    site = make_site(tmp_path / "site", [tmp_path / "unknown.h5", tmp_path / "traced.h5"])
+    unknown, traced = states(run_node, site, ["click", "#next"])
+    assert unknown["error"] == "Error: network unknown, bake unknown."
+    assert traced["error"] == "Error: bake 1.3 %."
+
+
 def test_next_object_and_dropped_files(run_node: RunNode, site: Path, files: Path, tmp_path: Path) -> None:
     write_asset(smooth_asset(degree=1), tmp_path / "dropped.h5")
     prt.write_image(tmp_path / "evening.hdr", np.ones((8, 16, 3), np.float32))

@@ -119,6 +119,27 @@ def test_the_file_keeps_all_it_had(tmp_path: Path) -> None:
     assert after == before
 
 
+def test_chunks_of_other_types_are_skipped(tmp_path: Path) -> None:
+    user = textured()
+    content = bytearray(user.glb())
+    (length,) = struct.unpack_from("<I", content, 12)
+    content[20 + length : 20 + length] = struct.pack("<II", 8, 0x52485430) + bytes(range(8))
+    struct.pack_into("<I", content, 8, len(content))
+    path = tmp_path / "user.glb"
+    path.write_bytes(content)
+    assert export(path).binary[: len(user.data)] == user.data
+
+
+@pytest.mark.parametrize("number", ["NaN", "-Infinity", "1e999"])
+def test_numbers_that_are_not_finite_are_refused_in_one_sentence(number: str, tmp_path: Path) -> None:
+    user = textured()
+    user.json["nodes"][0]["extras"] = {"weight": 0.1234567}
+    path = user.write(tmp_path / "user.glb")
+    path.write_bytes(path.read_bytes().replace(b"0.1234567", number.encode().rjust(9)))
+    with pytest.raises(MeshError, match=rf"^{path}: JSON: expected finite numbers, found {number}; correct it or "):
+        export(path)
+
+
 def test_sets_and_colours_of_the_user_stay(tmp_path: Path) -> None:
     user, ball = GltfBuilder(), sphere_mesh()
     uv, colours = user.accessor(ball.positions[:, :2]), user.accessor(np.abs(ball.positions))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from formats import atomic
-from formats.atomic import existing, replacing, sha256
+from formats.atomic import create_folder, existing, remove_parts, replacing, sha256, temporary_path
 from formats.errors import ImageError, StorageError
 from formats.image import write_image
 
@@ -82,6 +82,21 @@ def test_unusable_paths_are_refused_before_writing(tmp_path):
         pytest.fail("the block must not be entered")
 
 
+def test_folders_that_cannot_be_created_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(StorageError, match="file: expected a folder, found a file; choose another folder"):
+        create_folder(tmp_path / "file")
+    with pytest.raises(StorageError, match="file/a: cannot be written: Not a directory; choose another folder"):
+        create_folder(tmp_path / "file" / "a")
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "mkdir", full)
+    with pytest.raises(StorageError, match="a: cannot be written: the disk is full; free some space"):
+        create_folder(tmp_path / "a")
+
+
 def test_missing_files_and_folders_cannot_be_read(tmp_path):
     with pytest.raises(StorageError, match="no such file"):
         existing(tmp_path / "a")
@@ -106,6 +121,15 @@ def test_a_killed_process_keeps_the_old_file(tmp_path):
     ended = subprocess.run([sys.executable, "-c", program, str(path)], check=False)
     assert ended.returncode == -signal.SIGKILL
     assert path.read_text() == "old"
+
+
+@pytest.mark.parametrize("name", ["絵" * 81, "𝔸" * 63, "[a]" * 80])
+def test_the_longest_names_are_written_and_their_temporary_files_found(tmp_path: Path, name: str) -> None:
+    with replacing(tmp_path / name) as part:
+        part.write_text("new")
+    temporary_path(tmp_path / name).touch()
+    remove_parts(tmp_path, name)
+    assert os.listdir(tmp_path) == [name]
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".hdr", ".png"])

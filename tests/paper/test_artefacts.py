@@ -102,5 +102,5 @@ def test_existing_files_are_returned_after_a_stop_and_no_others_are_built(tmp_pa
 
 def test_a_folder_that_cannot_be_created_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match=r"file/out: cannot be created"):
+    with pytest.raises(StorageError, match=r"file/out: cannot be written"):
         Artefacts(tmp_path / "file" / "out", print)

@@ -6,7 +6,9 @@ import math
 import numpy as np
 import pytest
 
+from bakers.error_covariance import packed
 from formats.asset import Asset
+from formats.asset.error_covariance import ErrorCovariance
 from formats.errors import QueryError
 from formats.image import write_image
 from formats.image.png import to_linear
@@ -90,15 +92,18 @@ def test_coefficients_are_signed_and_in_order(sky) -> None:
     np.testing.assert_array_equal(preview.colours(EYE), made(sky).colours(EYE))
 
 
-def test_errors_are_those_under_the_rotated_light(sky) -> None:
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_errors_are_those_under_the_rotated_light(sky: str, up: str) -> None:
     rng = np.random.default_rng(1)
-    preview = made(sky, rotation=30.0)
+    preview = made(sky, up, 30.0)
     sigma = rng.uniform(0.01, 0.1, preview.asset.standard_error.shape).astype(np.float32)
-    asset = dataclasses.replace(preview.asset, standard_error=sigma)
+    # With equal errors of all harmonics, no rotation would change the error.
+    unequal = ErrorCovariance(packed(np.diag(np.arange(9) / 4))[None], np.ones((1, 3)), np.zeros((1, 2)))
+    asset = dataclasses.replace(preview.asset, standard_error=sigma, error_covariance=unequal)
     preview = Preview(asset, preview.lights, rotation=30.0)
     preview.show(Mode.ERROR)
     shown = preview.colours(EYE)
-    light = environment.rotate_light(preview.light.harmonics, 30.0)
+    light = environment.rotate_light(preview.light.harmonics, 30.0, up)
     rms = math.sqrt((shade(asset, light, EYE)[VALID] ** 2).mean())
     relative = np.sqrt((radiance_error(asset, light, EYE) ** 2).mean(axis=1)) / rms
     assert preview.scale.high == pytest.approx(np.quantile(relative[VALID], 0.98), rel=1e-5)

@@ -202,13 +202,14 @@ def test_a_picture_reports_the_number_of_suns_and_shows_the_same_background() ->
 
 
 def test_coefficients_are_interpolated_equally_from_memory_and_files(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("formats.asset.asset_file._CHUNK_BYTES", 8_000)
     asset = make_asset(ball(2), 4, 6)
     write_asset(asset, tmp_path / "a.h5")
     opened = read_asset(tmp_path / "a.h5", load=False)
     vertices = np.array([3, 4, 20, 65])
     at = view_bins_of(asset, vertices)
     inside = interpolated_coefficients(asset, vertices, at)
-    monkeypatch.setattr("prt_bake.shading.sun_shading._BYTES_AT_ONCE", 20_000)
+    monkeypatch.setattr("prt_bake.shading.reconstruction._BYTES_AT_ONCE", 20_000)
     np.testing.assert_array_equal(interpolated_coefficients(opened, vertices, at), inside)
     light = np.random.default_rng(1).random((9, 3))
     expected = shade(asset, light, EYE)[vertices]

@@ -37,12 +37,14 @@ class GltfFile:
         records: its JSON.
         binary: the binary chunk of a GLB file, or None.
         size: length of the file in bytes.
+        text: the JSON of a GLB file as it is stored, or None.
     """
 
     path: str | os.PathLike[str]
     records: Gltf
     binary: memoryview | None
     size: int
+    text: bytes | None
     _remarks: dict[str, dict[str, None]] = field(default_factory=dict)
 
     def fault(self, where: str, sentence: str, remedy: str = "export the file again") -> MeshError:
@@ -87,10 +89,11 @@ def open_gltf(path: str | os.PathLike[str]) -> GltfFile:
     """
     with open(path, "rb") as file:
         content = file.read()
-    text, binary = _chunks(content, path) if content[:4] == b"glTF" else (content, None)
+    is_glb = content[:4] == b"glTF"
+    text, binary = _chunks(content, path) if is_glb else (content, None)
     text = without_byte_order_mark(text, path, MeshError).rstrip(b"\0")  # some writers add a mark, or pad with zeros
     _refuse_other_versions(_parse(Head, text, path), path)
-    return GltfFile(path, _parse(Gltf, text, path), binary, len(content))
+    return GltfFile(path, _parse(Gltf, text, path), binary, len(content), text if is_glb else None)
 
 
 def _chunks(content: bytes, path: str | os.PathLike[str]) -> tuple[bytes, memoryview | None]:

@@ -1,4 +1,4 @@
-"""The commands `prtbake report bake|training|paper`.
+"""The commands `prtbake report bake|bases|training|paper`.
 
 May import: every room but the other commands. Start at `training.py`.
 """

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from formats.atomic import refuse_unwritable, storage_error
+from formats.atomic import create_folder, refuse_unwritable, storage_error
 from formats.errors import StorageError
 from formats.file_names import named_file
 from prt_bake.cli.shared.progress import say
@@ -34,7 +34,7 @@ def check_outputs(outputs: Mapping[str, Paths], inputs: Mapping[str, Paths], fol
     _refuse_twice(written)
     _refuse_inputs(written, inputs)
     if folder is not None:
-        _create(folder)
+        create_folder(folder)
     for _, path in written:
         refuse_unwritable(path)
     _refuse_closed_folders(path for _, path in written)
@@ -138,15 +138,6 @@ def _texts(value: Any) -> Iterator[str]:
     elif isinstance(value, dict | list):
         for item in value.values() if isinstance(value, dict) else value:
             yield from _texts(item)
-
-
-def _create(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except FileExistsError as cause:
-        raise StorageError(f"{folder}: expected a folder, found a file; choose another folder") from cause
-    except OSError as cause:
-        raise storage_error(folder, cause) from cause
 
 
 def _refuse_closed_folders(paths: Iterable[Path]) -> None:

@@ -16,11 +16,6 @@ _LIBRARIES = ("numpy", "numba", "embreex", "trimesh", "h5py", "OpenEXR", "torch"
 _enabled = False
 
 
-def is_verbose() -> bool:
-    """Return whether the command runs with `--verbose`."""
-    return _enabled
-
-
 def detail(sentence: str) -> None:
     """Print a sentence on stderr, with `--verbose` only."""
     if _enabled:

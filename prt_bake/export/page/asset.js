@@ -49,11 +49,12 @@ function readRecord(reader) {
   const [positions, normals, tangents, faces] = ["positions", "normals", "tangents", "faces"].map((name) => read(`/mesh/${name}`));
   const tested = (name) => (shape("/selftest/light") ? read(`/selftest/${name}`) : []);
   const [light, vertex, outgoing, radiance] = ["light", "vertex", "outgoing", "radiance"].map(tested);
-  const { eta = 1, roughness, model, estimated_relative_rmse: bake } = JSON.parse(reader.text("/provenance/json") ?? "{}");
+  const { eta = 1, roughness, model, walks, estimated_relative_rmse: bake } = JSON.parse(reader.text("/provenance/json") ?? "{}");
   const missing = [...JSON.parse(attribute("/", "left_out") ?? "[]").map(({ item }) => item)];
   if (shape("/lobes/axes")) missing.push("lobes");
   if (!attribute("/", "complete")) missing.push("vertices not baked yet, which are black");
-  const error = [["network", attribute("/", "network_error")?.[0]], ["bake", Math.hypot(bake?.total, attribute(group, "error") ?? 0)]]; // as in record.py
+  const network = walks === undefined ? [["network", attribute("/", "network_error")?.[0]]] : []; // as in record.py
+  const error = [...network, ["bake", Math.hypot(bake?.total ?? NaN, attribute(group, "error") ?? 0)]]; // Math.hypot takes null as 0
   return {
     positions, normals, tangents, faces, origin: attribute("/mesh/positions", "origin"), up: attribute("/", "up"),
     valid: shape(`${group}/valid`) && read(`${group}/valid`), quantity: attribute(group, "quantity"),

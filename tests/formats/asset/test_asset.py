@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -10,8 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from formats.asset import Asset, AssetWriter, check_asset, read_asset, write_asset
+from formats.asset.asset_file import AssetFile
 from formats.asset.error_covariance import ErrorCovariance, triangle
 from formats.asset.total_error import ErrorInterval
+from formats.atomic import remove_parts
 from formats.errors import AssetError
 from formats.mesh import Mesh
 from prt_bake.mathematics.sphere import view_bins
@@ -249,6 +252,24 @@ def test_float32_replaces_float16_before_overflow(tmp_path):
     np.testing.assert_array_equal(again.coefficients[:50], coefficients[:50].astype(np.float16).astype(np.float32))
     np.testing.assert_array_equal(again.standard_error, np.float32(0.5))
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.h5"]
+
+
+def test_a_killed_change_to_float32_leaves_files_that_the_next_run_removes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asset, left = make_asset(), list[Path]()
+
+    def note(file: AssetFile, text: str) -> None:
+        left.extend(tmp_path.iterdir())
+
+    monkeypatch.setattr(AssetFile, "note", note)
+    with AssetWriter(tmp_path / "a.h5", asset) as writer:
+        writer.write_block(0, np.full_like(asset.coefficients, 65520), asset.standard_error)
+    assert len(left) == 2
+    for path in left:
+        path.touch()
+    remove_parts(tmp_path, "a.h5")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_float32_replaces_float16_if_rounding_is_large(tmp_path):

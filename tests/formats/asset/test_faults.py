@@ -193,6 +193,9 @@ CHANGES = {
     r"/provenance/json: settings.for_eye is .1.; expected a point": lambda file: put(
         file, "provenance/json", '{"settings": {"for_eye": [1]}}'
     ),
+    "/provenance/json: seconds is '12'; expected a number": lambda file: put(
+        file, "provenance/json", '{"seconds": "12"}'
+    ),
     "/provenance/json: estimated_relative_rmse.total is -1; expected an error": lambda file: put(
         file, "provenance/json", '{"estimated_relative_rmse": {"total": -1}}'
     ),

@@ -1,5 +1,9 @@
 """Images: Radiance files against known bytes and a second decoder, OpenEXR layouts, the sRGB curve."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -122,6 +126,15 @@ def test_openexr_layers_grey_and_alpha(tmp_path):
     write_channels(path, {"depth.Z": image[..., 0]})
     with pytest.raises(ImageError, match=r"found depth\.Z"):
         read_image(path)
+
+
+def test_openexr_needs_no_standard_streams(tmp_path: Path) -> None:
+    program = (
+        "import os, sys\nos.close(1)\nos.close(2)\nsys.stdout = sys.stderr = None\n"
+        "import numpy as np\nfrom formats.image import read_image, write_image\n"
+        "write_image(sys.argv[1], np.full((2, 4, 3), 0.5))\nassert read_image(sys.argv[1]).mean() == 0.5\n"
+    )
+    assert subprocess.run([sys.executable, "-c", program, tmp_path / "a.exr"], check=False).returncode == 0
 
 
 def test_layers_are_read_separately_and_plain_readers_ignore_them(tmp_path):

@@ -1,6 +1,7 @@
 """Images in blocks of rows equal complete images bit for bit, with the same errors and the memory of one block."""
 
 import tracemalloc
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
@@ -9,8 +10,8 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from formats.errors import ImageError, StorageError
-from formats.image import read_image, write_image
+from formats.errors import ImageError, InputWarning, StorageError
+from formats.image import read_image, read_layers, write_image
 from formats.image.rows import ImageRows, open_image, rows_of
 
 DRAW = np.random.default_rng(1)
@@ -134,6 +135,15 @@ def test_png_and_jpeg(tmp_path: Path) -> None:
     Image.fromarray(pixels[..., :3], "RGB").save(tmp_path / "c.jpg")
     for name in ("a.png", "b.png", "c.jpg"):
         assert_same(tmp_path / name)
+
+
+@pytest.mark.parametrize("read", [open_image, read_layers])
+def test_a_png_is_decoded_once(read: Callable[[Path], object], tmp_path: Path) -> None:
+    first, second = (Image.fromarray(np.full((4, 4, 3), code, np.uint8)) for code in (0, 255))
+    first.save(tmp_path / "a.png", save_all=True, append_images=[second])
+    with pytest.warns(InputWarning, match="is an animation") as caught:
+        read(tmp_path / "a.png")
+    assert len(caught) == 1
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".hdr", ".png"])

@@ -74,6 +74,7 @@ DAMAGED = {
     "a property twice": (b"float y", b"float x", "element vertex has the property 'x' twice"),
     "an element twice": (b"element face", b"element vertex", "line 8"),
     "a negative number of rows": (b"element face 4", b"element face -4", "line 8"),
+    "rows beyond every integer": (b"vertex 4", b"vertex " + 5000 * b"9", "line 4 .* found 'element vertex 9{50,80}; "),
     "a property of no element": (b"comment", b"property int i\ncomment", "line 3"),
     "no format": (b"format ascii 1.0", b"comment", "no format line"),
     "another format": (b"ascii", b"binary", "line 2"),

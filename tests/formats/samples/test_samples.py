@@ -4,6 +4,7 @@ import os
 import re
 import signal
 import struct
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -194,6 +195,16 @@ def test_blocks_of_wrong_shape_are_refused(tmp_path):
     with pytest.raises(SamplesError, match="the writer is closed"):
         writer.append(**block(4, 3))
     assert len(read_samples(tmp_path / "a.h5").keys) == 4
+
+
+@pytest.mark.parametrize(("name", "value"), [("mean", 1e39), ("incident", -np.inf), ("keys", np.nan)])
+def test_values_that_the_file_cannot_hold_are_refused(tmp_path: Path, name: str, value: float) -> None:
+    numbers = block(4, 3)
+    numbers[name] = np.full(numbers[name].shape, value)
+    with SamplesWriter(tmp_path / "a.h5", head(3)) as writer:
+        with pytest.raises(SamplesError, match=f"{name} has values that are not finite"):
+            writer.append(**numbers)
+        assert writer.count == 0
 
 
 def test_a_writer_left_without_finish_keeps_the_old_file(tmp_path):

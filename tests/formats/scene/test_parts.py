@@ -1,6 +1,7 @@
 """Scenes of several parts: nesting, boundaries, textures, and errors that name the key."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -149,6 +150,7 @@ FAULTS = [
     (PLAIN + 'surface = "metal"\n', "inside.0.surface: expected \"diffuse\", found 'metal'"),
     (SEED.replace("0.5", "1.5"), "inside.0.reflectance: expected a number from 0 to 1"),
     (SEED.replace("surface", "surfac"), "inside.0.surfac: unknown key; did you mean 'surface'?"),
+    (PLAIN + 'inside_of = "object"\n', "inside.0.inside_of: unknown key; expected one of name, mesh, in, surface, "),
     (
         PLAIN + "[inside.interface]\nroughnes = 1\n",
         "inside.0.interface.roughnes: unknown key; did you mean 'roughness'?",
@@ -179,6 +181,15 @@ def test_every_error_names_its_key(folder, inside, sentence):
     assert "\n" not in message
     for part in sentence.split(".*"):
         assert part in message
+
+
+@pytest.mark.parametrize("value", ["5", "[1]"])
+def test_parts_that_are_no_tables_are_refused_in_one_sentence(folder: Path, value: str) -> None:
+    sentence = f"inside.0: expected tables [[inside]], found {value}"
+    with pytest.raises(SceneError) as caught:
+        scene(folder, f"inside = [{value}]\n{OUTER}")
+    assert str(caught.value) == f"{folder / 'scene.toml'}: {sentence}"
+    assert find_faults(folder / "scene.toml") == [str(caught.value)]
 
 
 def test_a_texture_that_is_no_image_is_named(folder):
