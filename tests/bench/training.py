@@ -131,7 +131,7 @@ VARIANTS: dict[str, Variant] = {
     "float32": learning(bfloat16=False),
     "batch 256": learning(batch=256),
     "batch 1024": learning(batch=1024),
-    "6 samples of the ray": network(ray_samples=6),
+    "6 samples of the ray": network(ray_samples=6, material_parts=3),
     "24 samples of the ray": network(ray_samples=24),
     "no ray, light enters first, narrow spread": plain(**EARLY, feature_spread=0.09),
     "view ray not refracted inside": network(interfaces=0),

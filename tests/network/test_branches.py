@@ -107,7 +107,7 @@ def test_points_lie_where_the_light_of_a_reflected_branch_comes_from() -> None:
 def test_a_network_follows_as_many_branches_as_its_settings_say() -> None:
     view = ViewPath([plate(0.0, 1.0, 1.0)], 3, 64, 5)
     interior = Interior(np.full((1, 2, 2, 2), LEVELS, np.int8), (-1.0, -1.0, -1.0), 3.0, (1.0,), ETA)
-    settings = replace(PRESETS["measured"], branches=5, ray_samples=3, shape_places=2)
+    settings = replace(PRESETS["measured"], branches=5, ray_samples=3, shape_places=2, material_parts=3)
     path = path_through(plate(0.0, 1.0, 1.0), interior, settings)
     assert path.__reduce__()[1][1:] == view.__reduce__()[1][1:]
 
