@@ -76,10 +76,8 @@ class Task:
     transport: Any
     positions: Array
     """[V,3] in object space."""
-    outgoing: Callable[[int, int], tuple[Array, int]]
-    """(first vertex, last vertex) → directions to the eye [n,B,3] and the number of them that were clamped to the
-    horizon.
-    """
+    outgoing: Callable[[NDArray[np.int64]], tuple[Array, int]]
+    """Vertices [n] → directions to the eye [n,B,3] and the number of them that were clamped to the horizon."""
     bins: int
     sectors: int
     sampling: Sampling | Walks
@@ -104,13 +102,13 @@ def block_size(task: Task) -> int:
 
 def bake_block(task: Task, first: int, last: int) -> Block:
     """Bakes vertices first … last − 1."""
-    outgoing, clamped = task.outgoing(first, last)
-    statistics, extra = None, 0
+    vertices, statistics, extra = np.arange(first, last), None, 0
+    outgoing, clamped = task.outgoing(vertices)
     if isinstance(task.sampling, Walks):
         positions = task.positions[first:last]
         coefficients, squares, statistics = walk_block(task.transport, task.sampling, positions, outgoing, first)
         variance, errors = squares.mean(axis=(2, 3)), _walk_errors(squares)
-        sums = _covariance_sums(task, np.arange(first, last), outgoing, errors)
+        sums = _covariance_sums(task, vertices, outgoing, errors)
         clamped += statistics.clamped
     else:
         coefficients, variance, sums, extra = _sample(task, task.sampling, outgoing, first, last)

@@ -40,16 +40,16 @@ def merged_vertex_faces(places: Array, faces: NDArray[np.integer], face_normals:
     return VertexFaces(merged.normals[np.repeat(merged.starts[same], counts) + within], starts)
 
 
-def clamp_to_horizon(outgoing: Array, around: VertexFaces, first_vertex: int) -> tuple[Array, int]:
-    """Clamps outgoing [n,B,3] at vertices from first_vertex on to the horizon; returns them and how many were clamped.
+def clamp_to_horizon(outgoing: Array, around: VertexFaces, vertices: NDArray[np.int64]) -> tuple[Array, int]:
+    """Clamps outgoing [n,B,3] at vertices [n] to the horizon; returns them and how many were clamped.
 
     The face around a vertex with the largest ωo·n decides (the lowest index on a tie). If that is not positive, the
     direction is turned in the plane of ωo and n until ωo·n = 10⁻³. A vertex without faces has no horizon.
     """
     clamped = outgoing.copy()
     count = 0
-    for row in range(len(outgoing)):
-        first, last = around.starts[first_vertex + row : first_vertex + row + 2]
+    for row, vertex in enumerate(vertices):
+        first, last = around.starts[vertex : vertex + 2]
         if first == last:
             continue
         normals = around.normals[first:last]

@@ -43,7 +43,7 @@ from prt_bake.tracer.gpu.availability import require_walks_on
 
 __all__ = ["ITEMS", "Light", "Progress", "bake", "choose_effort", "plan"]
 
-JOURNAL_VERSION = 3
+JOURNAL_VERSION = 4
 """Changes with the names of the checkpoints and of their arrays."""
 
 

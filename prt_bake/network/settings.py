@@ -103,8 +103,8 @@ class NetworkSettings:
     """Most channels of the material that are inputs (`features.material`); 0: none. A network's settings have the
     number of channels of its interior."""
     material_parts: int = 0
-    """Parts of the view ray, each with as many samples, along which the means of these channels are inputs, too. They
-    show where along the ray the material is which."""
+    """Parts of the view ray with equal numbers of samples; the mean of each channel along each part is an input. 0:
+    none. They show in which order the ray passes the materials."""
     light_places: int = 0
     """Points along light rays at which the late layers see the object's occupancy, half of them on the ray from x and
     half on the ray from within (`features.light_ray`). Needs ray_samples."""

@@ -145,7 +145,7 @@ def test_directions_below_every_face_are_clamped() -> None:
     around = vertex_faces(6, faces, normals)
     outgoing = np.broadcast_to(sphere.uniform(300, 1), (6, 300, 3)).copy()
     outgoing[0, 0] = -normals[0]
-    clamped, count = clamp_to_horizon(outgoing[2:4], around, first_vertex=2)
+    clamped, count = clamp_to_horizon(outgoing[2:4], around, np.array([2, 3]))
     for vertex in (2, 3):
         own = normals[(faces == vertex).any(axis=1)]
         cosines = outgoing[vertex] @ own.T
@@ -209,8 +209,8 @@ def task(transport: Any, vertices: int = 7, rings: int = 2, sectors: int = 32, s
     rng = np.random.default_rng(8)
     local = sphere.view_bins(rings, sectors)
 
-    def outgoing(first: int, last: int) -> tuple[Array, int]:
-        return np.broadcast_to(local, (last - first, *local.shape)), last - first
+    def outgoing(vertices: NDArray[np.int64]) -> tuple[Array, int]:
+        return np.broadcast_to(local, (len(vertices), *local.shape)), len(vertices)
 
     def rotation(first: int, last: int) -> NDArray[np.int64]:
         return (np.arange(first, last)[:, None] + np.arange(len(local))) % 8

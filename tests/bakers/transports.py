@@ -201,11 +201,11 @@ def exact(
     lattice = sphere.fibonacci(directions)
     harmonics = sh.evaluate(lattice, degree)
     fit = np.linalg.solve(harmonics.T @ harmonics, harmonics.T)
-    _tangents, views = views_of(mesh, rings, sectors)
+    views = views_of(mesh, rings, sectors)
     found = np.empty((len(mesh.positions), -(-rings * sectors // every), sh.count(degree), 3))
     for vertex, x in enumerate(mesh.positions):
         turn = sphere.random_rotations(1, 900 + vertex)[0]
-        outgoing = views(vertex, vertex + 1)[0][0, ::every]
+        outgoing = views(np.array([vertex]))[0][0, ::every]
         for first in range(0, len(outgoing), 64):
             some = outgoing[first : first + 64]
             incident = np.broadcast_to(lattice @ turn.T, (len(some), directions, 3))
@@ -220,12 +220,12 @@ def uniform_directions_needed(
     """Uniform directions per bin that plain Monte Carlo needs for the error, from its measured variance of one
     direction.
     """
-    _tangents, views = views_of(mesh, rings, sectors)
+    views = views_of(mesh, rings, sectors)
     generator, squares, many = np.random.default_rng(3), 0.0, 0
     for vertex, x in enumerate(mesh.positions):
         bins = generator.integers(0, rings * sectors, 16)
         incident = sphere.uniform(16 * 256, vertex).reshape(16, 256, 3)
-        values = transport.evaluate(incident, np.repeat(x[None], 16, 0), views(vertex, vertex + 1)[0][0, bins])  # type: ignore[attr-defined]
+        values = transport.evaluate(incident, np.repeat(x[None], 16, 0), views(np.array([vertex]))[0][0, bins])  # type: ignore[attr-defined]
         harmonics = sh.evaluate(incident.reshape(-1, 3), 2).reshape(16, 256, -1)
         squares += float(((4.0 * np.pi * harmonics[..., None] * values[:, :, None]).var(axis=1)).sum())
         many += 16

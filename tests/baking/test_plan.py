@@ -25,7 +25,7 @@ GRID: dict[str, Any] = {"rings": 4, "sectors": 32}
 
 
 def job_of(transport: object, vertices: int = len(MESH.positions)) -> AdaptiveJob:
-    views, local = views_of(MESH, **GRID)[1], sphere.view_bins(**GRID)
+    views, local = views_of(MESH, **GRID), sphere.view_bins(**GRID)
     return AdaptiveJob(transport, MESH, np.arange(vertices), views, local, 2, 0, (GRID["rings"], GRID["sectors"]))
 
 

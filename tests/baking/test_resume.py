@@ -202,12 +202,16 @@ def test_a_killed_bake_for_a_time_goes_on_from_its_last_complete_pass(
         bake(transport, icosphere(0), **arguments, minutes=1.0, progress=killed_in("pass 3"))
     with read_asset(out) as before:
         passes, error = before.provenance["refinement"]["passes"], before.error_vs_time[-1, 2]
+        rows, evaluations = before.error_vs_time, before.provenance["evaluations"]
     with bake(transport, icosphere(0), **arguments, minutes=minutes, resume=True) as asset:
         assert asset.complete
         assert asset.valid.all()
         assert passes == 2
         assert (asset.provenance["refinement"]["passes"] > passes) == finer
         assert (asset.error_vs_time[-1, 2] < error) == finer
+        np.testing.assert_array_equal(asset.error_vs_time[: len(rows)], rows)
+        assert (np.diff(asset.error_vs_time[:, :2], axis=0) > 0.0).all()
+        assert (asset.provenance["evaluations"] > evaluations) == finer
 
 
 def test_a_bake_for_a_time_begins_anew_without_its_asset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -221,15 +225,31 @@ def test_a_bake_for_a_time_begins_anew_without_its_asset(tmp_path: Path, monkeyp
         assert asset.valid.all()
 
 
-def test_a_damaged_block_of_a_complete_pass_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_damaged_result_of_a_bake_for_a_time_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    transport, out = Timed(Lobed(), Clock(monkeypatch), each=4e-5), tmp_path / "a.h5"
+    arguments: dict[str, Any] = {"rings": 4, "sectors": 16, "out": out, "minutes": 1.0}
+    with pytest.raises(Killed):
+        bake(transport, icosphere(0), **arguments, progress=killed_in("pass 3"))
+    before = out.read_bytes()
+    damaged = tmp_path / "a.h5.journal" / "done-01.npz"
+    damaged.write_bytes(damaged.read_bytes()[:100])
+    with pytest.raises(StorageError, match="checkpoint done-01: expected the result of a complete pass"):
+        bake(transport, icosphere(0), **arguments, resume=True)
+    assert out.read_bytes() == before
+
+
+@pytest.mark.parametrize("block", [0, 10])
+def test_a_damaged_block_of_a_complete_pass_is_refused(
+    tmp_path: Path, block: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("prt_bake.baking.adaptive.run.settings_for_error", loose_settings)
     monkeypatch.setattr("prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE", 5 * 32)
     out, arguments = tmp_path / "a.h5", {**SMALL, "error": 0.03}
     with pytest.raises(Killed):
         bake(Incoherent(), icosphere(1), **arguments, out=out, progress=killed_in("pass 2"))
-    damaged = tmp_path / "a.h5.journal" / "01-10.npz"
+    damaged = tmp_path / "a.h5.journal" / f"01-{block}.npz"
     damaged.write_bytes(damaged.read_bytes()[:100])
-    with pytest.raises(StorageError, match=r"checkpoint 01-10: expected a finished block .* bake again without resum"):
+    with pytest.raises(StorageError, match=rf"checkpoint 01-{block}: expected a finished block .* bake again"):
         bake(Incoherent(), icosphere(1), **arguments, out=out, resume=True)
 
 

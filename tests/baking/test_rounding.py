@@ -42,10 +42,10 @@ def test_an_error_below_rounding_raises() -> None:
 
 def test_transports_in_full_precision_are_not_measured() -> None:
     mesh = icosphere(0)
-    assert measure_rounding(Lobed(), mesh, views_of(mesh, 4, 8)[1], 32, 2, 0) == (0.0, 0)
+    assert measure_rounding(Lobed(), mesh, views_of(mesh, 4, 8), 32, 2, 0) == (0.0, 0)
     shipped = read_mesh(SHIPPED / "spot.obj")
     network = prepared(on_mesh(load_model(SHIPPED / "spot.pt"), shipped), "float32", "cpu")
-    assert measure_rounding(network, shipped, views_of(shipped, 4, 8)[1], 32, 2, 0) == (0.0, 0)
+    assert measure_rounding(network, shipped, views_of(shipped, 4, 8), 32, 2, 0) == (0.0, 0)
     assert network.exact() is network
 
 

@@ -84,10 +84,7 @@ def baker_of(transport: Any, mesh: Mesh) -> Callable[[Method, int, int], Array]:
     vertices = np.random.default_rng(1).permutation(len(mesh.positions))[:VERTICES]
     normals = mesh.normals[vertices]
     world = sphere.to_world(sphere.view_bins(RINGS, SECTORS), normals[:, None], sphere.tangent_frame(normals)[:, None])
-    around = horizons(mesh)
-    outgoing = np.concatenate(
-        [clamp_to_horizon(view[None], around, int(vertex))[0] for vertex, view in zip(vertices, world, strict=True)]
-    )
+    outgoing = clamp_to_horizon(world, horizons(mesh), vertices)[0]
     bins = RINGS * SECTORS
 
     def bake(method: Method, directions: int, seed: int) -> Array:
@@ -99,7 +96,7 @@ def baker_of(transport: Any, mesh: Mesh) -> Callable[[Method, int, int], Array]:
         estimator = "halves" if method.half_sets else "neighbours"
         second = (lambda a, b: other[a:b]) if method.half_sets else None
         sampling = Sampling(pool, lambda a, b: taken[a:b], second, estimator)
-        task = Task(transport, mesh.positions[vertices], lambda a, b: (outgoing[a:b], 0), bins, SECTORS, sampling)
+        task = Task(transport, mesh.positions[vertices], lambda chosen: (outgoing[chosen], 0), bins, SECTORS, sampling)
         return np.concatenate(
             [bake_block(task, v, v + 1).coefficients.astype(np.float64) for v in range(len(vertices))]
         )

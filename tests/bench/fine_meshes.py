@@ -38,12 +38,12 @@ def subdivided(path: Path, times: int) -> Mesh:
 
 def true_errors(transport: Any, mesh: Mesh, rings: int, sectors: int, asset: Any) -> tuple[float, float, float]:
     """Relative RMSE, its 95th percentile over vertices, and the share of bins within 1.96 standard errors."""
-    random, lattice, views = np.random.default_rng(1), sphere.fibonacci(DIRECTIONS), views_of(mesh, rings, sectors)[1]
+    random, lattice, views = np.random.default_rng(1), sphere.fibonacci(DIRECTIONS), views_of(mesh, rings, sectors)
     fit = np.linalg.pinv(sh.evaluate(lattice, 2))
     errors, signal, stated = [], [], []
     for vertex in random.choice(len(mesh.positions), VERTICES, replace=False):
         bins = np.sort(random.choice(rings * sectors, BINS, replace=False))
-        outgoing = views(int(vertex), int(vertex) + 1)[0][0][bins]
+        outgoing = views(np.array([vertex]))[0][0, bins]
         x = np.tile(mesh.positions[vertex], (BINS, 1))
         values = values_at(transport, lattice[None], np.zeros(BINS, np.int64), x, outgoing).astype(np.float64)
         truth = (fit @ values).reshape(BINS, -1, 3)

@@ -97,7 +97,7 @@ def of_network(model: Path, mesh_path: Path, error: float, vertices: int, precis
     mesh, network = read_mesh(mesh_path), load_model(model)
     bound = up_to(on_mesh(network, mesh), 2)
     transport = prepared(bound, precision, "cpu")
-    _tangents, views = views_of(mesh, 16, 64)
+    views = views_of(mesh, 16, 64)
     chosen = np.sort(np.random.default_rng(5).permutation(len(mesh.positions))[:vertices])
     job = AdaptiveJob(transport, mesh, np.arange(len(mesh.positions)), views, sphere.view_bins(16, 64), 2, 0)
     with limited_threads(transport, 1):
@@ -111,7 +111,7 @@ def of_network(model: Path, mesh_path: Path, error: float, vertices: int, precis
     coefficients = np.concatenate([part.coefficients for part in parts]).astype(np.float64)
     spent = sum(part.evaluations for part in parts) / (len(chosen) * 1024)
     rows, bins = np.random.default_rng(1).integers((len(chosen), 1024), size=(PLAIN_BINS, 2)).T
-    outgoing = np.stack([views(int(v), int(v) + 1)[0][0, b] for v, b in zip(chosen[rows], bins, strict=True)])
+    outgoing = views(chosen)[0][rows, bins]
     positions = mesh.positions[chosen[rows]]
     lattice = sphere.fibonacci(TRUE_DIRECTIONS)
     harmonics = sh.evaluate(lattice, 2)

@@ -68,8 +68,7 @@ class AdaptiveJob:
         rows, local = np.divmod(bins, self.bins)
         vertices = self.vertices[rows]
         distinct, inverse = np.unique(vertices, return_inverse=True)
-        views = [self.views(int(vertex), int(vertex) + 1)[0][0] for vertex in distinct]
-        return vertices, np.stack([views[row][b] for row, b in zip(inverse, local, strict=True)])
+        return vertices, self.views(distinct)[0][inverse, local]
 
     def values_at_bins(self, directions: Array, rotations: Array, bins: Index) -> NDArray[np.floating]:
         """Ŝ [M,D,3] at bins [M], counted over all baked vertices, in directions [D,3] rotated by rotations [M,3,3]."""

@@ -23,6 +23,8 @@ from prt_bake.baking.adaptive.checkpoints import ClampedBlock, PassCheckpoints
 from prt_bake.baking.adaptive.interpolation_kernel import interpolated_from
 from prt_bake.baking.adaptive.parent_vertices import Interpolation, tested_bins
 
+_MOST_BYTES = 1 << 28
+"""Of coefficients of evaluated vertices in memory."""
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
@@ -38,11 +40,8 @@ class Known(NamedTuple):
 class EvaluatedVertices:
     """The evaluated vertices of all blocks, read from the checkpoints when they are needed."""
 
-    def __init__(
-        self, job: AdaptiveJob, interpolation: Interpolation, checkpoints: PassCheckpoints, most_bytes: int = 1 << 28
-    ) -> None:
-        """Keeps at most `most_bytes` of coefficients in memory."""
-        self._checkpoints, self._lock, self._most_bytes = checkpoints, Lock(), most_bytes
+    def __init__(self, job: AdaptiveJob, interpolation: Interpolation, checkpoints: PassCheckpoints) -> None:
+        self._checkpoints, self._lock = checkpoints, Lock()
         places = np.flatnonzero(interpolation.evaluated)
         block = places // job.block_vertices
         self._first = block * job.block_vertices
@@ -63,7 +62,7 @@ class EvaluatedVertices:
         found = self._checkpoints.require_evaluated(first)
         with self._lock:
             self._blocks[first] = found[0]
-            while self._bytes() > self._most_bytes and len(self._blocks) > 1:
+            while self._bytes() > _MOST_BYTES and len(self._blocks) > 1:
                 del self._blocks[next(iter(self._blocks))]
             return found[0]
 
@@ -107,8 +106,7 @@ def _interpolate_or_evaluate(
     parents: Parents,
     known: Known | None,
 ) -> ClampedBlock:
-    views = [job.views(int(vertex), int(vertex) + 1) for vertex in vertices]
-    outgoing, clamped = np.concatenate([view for view, _clamped in views]), sum(count for _view, count in views)
+    outgoing, clamped = job.views(vertices)
     positions, transport = job.mesh.positions[vertices], job.transport
     rows, evaluations, parts = np.zeros(0, np.int64), 0, list[tuple[Index, RefinedBlock]]()
     if known is not None:

@@ -177,7 +177,7 @@ def _interpolation_errors(
     errors, normals, evaluations = np.zeros((len(rows), TRIAL_BINS)), job.mesh.normals, 0
     for number, row in enumerate(rows):
         vertex, used = vertices[row], np.flatnonzero(parents.weights[row] != 0.0)
-        outgoing = job.views(int(vertex), int(vertex) + 1)[0][0][tested_bins(job, vertex, TRIAL_BINS)]
+        outgoing = job.views(vertices[row : row + 1])[0][0, tested_bins(job, vertex, TRIAL_BINS)]
         sources = interpolation.numbers[parents.indices[row][used]]
         rotated = rotated_with_normal(outgoing[None], normals[vertex][None, None], normals[sources][:, None])
         towards = np.concatenate([rotated, outgoing[None]]).reshape(-1, 3)

@@ -60,10 +60,8 @@ def uncalibrated(refinement: RefinementSettings, error: float) -> PassSettings:
 
 def refined_block(job: AdaptiveJob, refinement: RefinementSettings, vertices: Index) -> tuple[RefinedBlock, int]:
     """Bakes a block; also the number of its bins that were clamped to the horizon."""
-    views = [job.views(int(vertex), int(vertex) + 1) for vertex in vertices]
-    outgoing = np.concatenate([directions for directions, _clamped in views])
-    refined = refine(job.transport, refinement, vertices, job.mesh.positions[vertices], outgoing)
-    return refined, sum(clamped for _directions, clamped in views)
+    outgoing, clamped = job.views(vertices)
+    return refine(job.transport, refinement, vertices, job.mesh.positions[vertices], outgoing), clamped
 
 
 def worst_of(total: float, percentile_95: float) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from bakers.adaptive.calibration import Correction, Tally
 from bakers.adaptive.records import RefinementSettings
 from formats.asset import Asset, read_asset
-from formats.errors import QueryError, warn
+from formats.errors import QueryError, StorageError, warn
 from prt_bake.baking.adaptive.adaptive_job import MANY, AdaptiveJob, vertices_at_once
 from prt_bake.baking.adaptive.checkpoints import DONE, EVALUATED, PassCheckpoints
 from prt_bake.baking.adaptive.noise_pilot import first_refinement, refuse_out_of_reach
@@ -164,9 +164,20 @@ def _last_complete(run: Run) -> Pass | None:
     if run.work.out is None or not Path(run.work.out).is_file():
         run.store.forget("")
         return None
+    last = max(numbers)
+    done = PassCheckpoints(run.store, last).read_result(Correction())
+    if done is None:
+        raise StorageError(
+            f"checkpoint {DONE}{last:02d}: expected the result of a complete pass, found none that can be read; "
+            "bake again without resuming"
+        )
     run.asset = read_asset(run.work.out, load=False)
-    run.number = run.passes = max(numbers) + 1
-    return PassCheckpoints(run.store, max(numbers)).read_result(Correction())
+    run.rows = [(float(seconds), float(count), float(error)) for seconds, count, error in run.asset.error_vs_time]
+    run.number = run.passes = last + 1
+    # The time and the evaluations of the asset are those of all runs.
+    run.work.began -= run.rows[-1][0]
+    run.work.evaluations += round(run.rows[-1][1])
+    return done
 
 
 def coarse_first(job: AdaptiveJob, error: float) -> bool:
@@ -225,7 +236,7 @@ def _pass(run: Run, settings: PassSettings) -> Pass | None:
         return None
     if done.tally.invalid[done.tally.done].all():
         raise not_finite(run.job.transport, f"{int(done.tally.done.sum())} vertices that were baked")
-    if checkpoints.read(0) is not None and (done.complete or run.asset is None):
+    if 0 in checkpoints.finished() and (done.complete or run.asset is None):
         run.asset = write_asset(run.work, run.job, checkpoints, settings, done, run.passes, run.rows)
     if not done.complete:
         return None

@@ -50,7 +50,7 @@ def resolve(
 
     Raises QueryError as `resolve_sampling` and `views_of` do.
     """
-    outgoing, bins, around = views_of(mesh, rings, sectors)[1], rings * sectors, sectors
+    outgoing, bins, around = views_of(mesh, rings, sectors), rings * sectors, sectors
     if pruning is not None and pruning.views != "all":
         outgoing, bins, around = pruning.outgoing, len(pruning.local), 1
     resolved = resolve_sampling(transport, degree, bins, around, directions, samples, seed)

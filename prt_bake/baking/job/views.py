@@ -15,12 +15,12 @@ _MOST_CLAMPED = 0.02
 """Share of clamped view bins that a sound mesh does not reach; the meshes of the paper's scenes have none."""
 _TESTED = 256
 
-Views = Callable[[int, int], tuple[NDArray[np.float64], int]]
-"""(first vertex, last vertex) → directions to the eye [n,B,3] and how many of them were clamped to the horizon."""
+Views = Callable[[NDArray[np.int64]], tuple[NDArray[np.float64], int]]
+"""Vertices [n] → directions to the eye [n,B,3] and how many of them were clamped to the horizon."""
 
 
-def views_of(mesh: Mesh, rings: int, sectors: int) -> tuple[NDArray[np.float64], Views]:
-    """Tangents [V,3], and the directions of the view bins; those below the horizon are clamped to it.
+def views_of(mesh: Mesh, rings: int, sectors: int) -> Views:
+    """The directions of the view bins; those below the horizon are clamped to it.
 
     Raises QueryError for more than 65,536 bins.
     """
@@ -30,11 +30,11 @@ def views_of(mesh: Mesh, rings: int, sectors: int) -> tuple[NDArray[np.float64],
     tangents = sphere.tangent_frame(mesh.normals)
     faces = horizons(mesh)
 
-    def outgoing(first: int, last: int) -> tuple[NDArray[np.float64], int]:
-        world = sphere.to_world(local, mesh.normals[first:last, None], tangents[first:last, None])
-        return clamp_to_horizon(world, faces, first)
+    def outgoing(vertices: NDArray[np.int64]) -> tuple[NDArray[np.float64], int]:
+        world = sphere.to_world(local, mesh.normals[vertices, None], tangents[vertices, None])
+        return clamp_to_horizon(world, faces, vertices)
 
-    return tangents, outgoing
+    return outgoing
 
 
 def horizons(mesh: Mesh) -> VertexFaces:
@@ -44,9 +44,9 @@ def horizons(mesh: Mesh) -> VertexFaces:
 
 def warn_of_clamped_views(mesh: Mesh, rings: int, sectors: int) -> None:
     """Warn if more than 2 % of the view bins at 256 vertices lie below the horizon of the faces around them."""
-    _tangents, outgoing = views_of(mesh, rings, sectors)
     tested = np.unique(np.linspace(0, len(mesh.positions) - 1, _TESTED).astype(np.int64))
-    share = sum(outgoing(v, v + 1)[1] for v in tested.tolist()) / (len(tested) * rings * sectors)
+    outgoing = views_of(mesh, rings, sectors)
+    share = sum(outgoing(vertex)[1] for vertex in tested[:, None]) / (len(tested) * rings * sectors)
     if share > _MOST_CLAMPED:
         warn(
             f"mesh: {share:.0%} of the view bins lie below the horizon of the faces around their vertex and are "

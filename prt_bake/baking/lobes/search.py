@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.evaluation import values_on_sets
-from bakers.horizon import VertexFaces, clamp_to_horizon
+from bakers.horizon import clamp_to_horizon
 from formats.asset import AssetHead
 from formats.asset.lobes import LEAST_SHARPNESS, MOST_SHARPNESS
 from prt_bake.baking.job.views import horizons
@@ -108,11 +108,7 @@ class LobeSearch:
     def outgoing(self, vertices: Index, local: Array) -> Array:
         """Directions to the eye [n,B,3], clamped to the horizon."""
         world = sphere.to_world(local, self._mesh.normals[vertices][:, None], self._tangents[vertices][:, None])
-        starts = self._around.starts
-        rows = [self._around.normals[starts[v] : starts[v + 1]] for v in vertices]
-        counts = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
-        around = VertexFaces(np.concatenate(rows) if rows else np.zeros((0, 3)), counts)
-        return clamp_to_horizon(world, around, 0)[0]
+        return clamp_to_horizon(world, self._around, vertices)[0]
 
 
 def _turned(angle: float) -> Array:

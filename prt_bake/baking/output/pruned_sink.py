@@ -195,7 +195,7 @@ class PrunedSink:
         n, views = len(block.valid), 1 if self._pruning.views == "one" else block.coefficients.shape[1]
         if shape is None:
             return np.broadcast_to((light**2).sum(axis=0), (n, views, light.shape[1]))
-        outgoing, _clamped = self._pruning.outgoing(block.first_vertex, block.first_vertex + n)
+        outgoing, _clamped = self._pruning.outgoing(block.first_vertex + np.arange(n))
         rows, many = np.repeat(np.arange(n), outgoing.shape[1]), n * outgoing.shape[1]
         lights = np.broadcast_to(light, (many, *light.shape))
         in_view = self._frames.in_view(block.first_vertex + rows, outgoing.reshape(-1, 3), lights)

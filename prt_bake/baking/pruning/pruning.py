@@ -88,7 +88,7 @@ def choose_pruning(
     vertices = _vertices(mesh, eye, decisions)
     copies = _copies(mesh, vertices, decisions) if "duplicates" in prunable else np.zeros((0, 2), np.int64)
     vertices = np.setdiff1d(vertices, copies[:, 0])
-    all_views = views_of(mesh, rings, sectors)[1]
+    all_views = views_of(mesh, rings, sectors)
     views, local, outgoing = "all", sphere.view_bins(rings, sectors), all_views
     kept_degree, channels, signal, evaluations = degree, 3, 0.0, 0
     if eye is not None:
@@ -227,16 +227,16 @@ def _towards(mesh: Mesh, eye: Array) -> Views:
     """The direction from each vertex to the eye."""
     faces = horizons(mesh)
 
-    def outgoing(first: int, last: int) -> tuple[Array, int]:
-        towards = eye - mesh.positions[first:last, None]
-        return clamp_to_horizon(towards / np.linalg.norm(towards, axis=-1, keepdims=True), faces, first)
+    def outgoing(vertices: Index) -> tuple[Array, int]:
+        towards = eye - mesh.positions[vertices, None]
+        return clamp_to_horizon(towards / np.linalg.norm(towards, axis=-1, keepdims=True), faces, vertices)
 
     return outgoing
 
 
 def _subset(outgoing: Views, bins: Index) -> Views:
-    def chosen(first: int, last: int) -> tuple[Array, int]:
-        directions, clamped = outgoing(first, last)
+    def chosen(vertices: Index) -> tuple[Array, int]:
+        directions, clamped = outgoing(vertices)
         return directions[:, bins], clamped
 
     return chosen

@@ -63,7 +63,7 @@ def measure_redundancy(
     """Projects Ŝ at a few of `vertices` and at the view bins `bins` [b]; bins of a vertex use the same directions."""
     size = directions_for(degree)
     chosen = vertices[np.sort(sample_without_replacement(seed + 4, len(vertices), pilot_size(vertices)))]
-    towards = np.stack([outgoing(int(v), int(v) + 1)[0][0, bins] for v in chosen])
+    towards = outgoing(chosen)[0][:, bins]
     directions = sphere.fibonacci(size)
     harmonics = sh.evaluate(directions, degree)
     fit = np.linalg.solve(harmonics.T @ harmonics, harmonics.T)

@@ -26,7 +26,7 @@ def measure_rounding(transport: Any, mesh: Mesh, views: Views, bins: int, degree
         return 0.0, 0
     chosen = sample_without_replacement(seed + 4, len(mesh.positions) * bins, min(BINS, len(mesh.positions) * bins))
     vertices, local = np.divmod(chosen, bins)
-    outgoing = np.stack([views(int(v), int(v) + 1)[0][0, b] for v, b in zip(vertices, local, strict=True)])
+    outgoing = np.stack([views(v)[0][0, b] for v, b in zip(vertices[:, None], local, strict=True)])
     lattice = sphere.fibonacci(max(DIRECTIONS, 3 * sh.count(degree)))
     harmonics = sh.evaluate(lattice, degree)
     fit = np.linalg.solve(harmonics.T @ harmonics, harmonics.T)

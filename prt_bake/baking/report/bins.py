@@ -44,8 +44,7 @@ def drawn_bins(mesh: Mesh, rings: int, sectors: int, degree: int, vertices: int,
     chosen = sample_without_replacement(seed, len(mesh.positions), min(vertices, len(mesh.positions)))
     ring = np.arange(len(chosen)) * rings // len(chosen)
     bins = ring[:, None] * sectors + np.arange(sectors)
-    views = views_of(mesh, rings, sectors)[1]
-    outgoing = np.stack([views(int(v), int(v) + 1)[0][0, b] for v, b in zip(chosen, bins, strict=True)])
+    outgoing = np.take_along_axis(views_of(mesh, rings, sectors)(chosen)[0], bins[..., None], axis=1)
     return Bins(mesh, chosen, bins, outgoing, rings, sectors, degree)
 
 

@@ -217,15 +217,12 @@ class _Baked:
         faces = horizons(mesh)
         towards = eye - mesh.positions[self._vertices]
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-        clamped = [
-            clamp_to_horizon(d[None, None], faces, int(v))[0] for v, d in zip(self._vertices, towards, strict=True)
-        ]
-        self._outgoing = np.concatenate(clamped)[:, 0]
+        self._outgoing = clamp_to_horizon(towards[:, None], faces, self._vertices)[0][:, 0]
         local = sphere.to_local(
             towards, mesh.normals[self._vertices], sphere.tangent_frame(mesh.normals)[self._vertices]
         )
         self._bins, self._weights = sphere.bin_weights(local, rings, sectors)
-        self._views = views_of(mesh, rings, sectors)[1]
+        self._views = views_of(mesh, rings, sectors)
 
     def towards_eye(self, seed: int) -> Array:
         """Reference coefficients [3·N,K,3] in the exact direction to the eye."""
@@ -234,12 +231,11 @@ class _Baked:
     def eye_bin_coordinates(self, directions: int, seed: int) -> Array:
         """Coefficients interpolated between view bins, which have `directions` directions each."""
         rows, columns = np.nonzero(self._weights)
-        outgoing = {int(v): self._views(int(v), int(v) + 1)[0][0] for v in np.unique(self._vertices)}
-        vertices, bins = self._vertices[rows], self._bins[rows, columns]
-        towards = np.stack([outgoing[int(v)][b] for v, b in zip(vertices, bins, strict=True)])
-        found = self._fitted(vertices, towards, directions, seed) * self._weights[rows, columns][:, None, None]
+        distinct, inverse = np.unique(self._vertices, return_inverse=True)
+        towards = self._views(distinct)[0][inverse[rows], self._bins[rows, columns]]
+        found, shares = self._fitted(self._vertices[rows], towards, directions, seed), self._weights[rows, columns]
         added = np.zeros((len(self._vertices), *found.shape[1:]))
-        np.add.at(added, rows, found)
+        np.add.at(added, rows, shares[:, None, None] * found)
         return added
 
     def _fitted(self, vertices: Index, outgoing: Array, directions: int, seed: int) -> Array:

@@ -117,7 +117,7 @@ def _task(transport: Any, bins: Bins, kind: str, samples: int, seed: int) -> Tas
     positions = bins.mesh.positions[bins.vertices]
     width = bins.bins.shape[1]
     return Task(
-        transport, positions, lambda first, last: (bins.outgoing[first:last], 0), width, bins.sectors, resolved.sampling
+        transport, positions, lambda vertices: (bins.outgoing[vertices], 0), width, bins.sectors, resolved.sampling
     )
 
 
@@ -128,7 +128,7 @@ def adaptive_rows(transport: Any, bins: Bins, reference: Array, seconds: float, 
         transport,
         mesh,
         np.arange(len(mesh.positions)),
-        views_of(mesh, bins.rings, bins.sectors)[1],
+        views_of(mesh, bins.rings, bins.sectors),
         sphere.view_bins(bins.rings, bins.sectors),
         bins.degree,
         seed,

@@ -3,7 +3,7 @@
 A scene states where one medium borders on another, and which spots of a boundary are rough. A network that does not see
 this has to learn it point by point. Channels of it (`prt_bake.trainer.material`) are stored at the nodes of a coarse
 grid. The network sees them at x and as means along the view ray, also blurred, since light that leaves at x was
-scattered in its surroundings.
+scattered in its surroundings. It also sees their means, without blur, along equal parts of the ray's samples.
 """
 
 from typing import Any, NamedTuple

@@ -34,7 +34,7 @@ POOL: Pool = pools_for(2, 0).of(181)
 
 def job_of(transport: object) -> AdaptiveJob:
     vertices = np.arange(len(MESH.positions))
-    views = views_of(MESH, RINGS, SECTORS)[1]
+    views = views_of(MESH, RINGS, SECTORS)
     return AdaptiveJob(transport, MESH, vertices, views, sphere.view_bins(RINGS, SECTORS), 2, 0)
 
 

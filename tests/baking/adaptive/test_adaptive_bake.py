@@ -259,7 +259,7 @@ def test_a_pass_that_misses_the_error_is_followed_by_another(monkeypatch: pytest
 
 def test_only_the_worst_vertices_are_baked_again() -> None:
     mesh = icosphere(1)
-    job = AdaptiveJob(Lobed(), mesh, np.arange(42), views_of(mesh, 4, 8)[1], sphere.view_bins(4, 8), 2, 0)
+    job = AdaptiveJob(Lobed(), mesh, np.arange(42), views_of(mesh, 4, 8), sphere.view_bins(4, 8), 2, 0)
     settings = uncalibrated(first_refinement(job)[0], ERROR)
     tally = Tally(42)
     tally.signal[:], tally.done[:] = 1.0, True

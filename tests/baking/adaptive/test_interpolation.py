@@ -59,11 +59,11 @@ def whole(followed: Whole) -> Asset:
 
 def true_errors(asset: Asset, transport: Ringed, vertices: Array) -> tuple[Array, Array]:
     """Squared errors [n,B] and squares [n,B], mean over coefficients; the reference has many directions."""
-    lattice, views = sphere.fibonacci(1024), views_of(MESH, RINGS, SECTORS)[1]
+    lattice, views = sphere.fibonacci(1024), views_of(MESH, RINGS, SECTORS)
     fit = np.linalg.pinv(sh.evaluate(lattice, 2))
     off, signal = [], []
     for vertex in vertices:
-        outgoing = views(int(vertex), int(vertex) + 1)[0][0]
+        outgoing = views(np.array([vertex]))[0][0]
         count = len(outgoing)
         answers = transport.evaluate(
             np.broadcast_to(lattice, (count, *lattice.shape)), np.tile(MESH.positions[vertex], (count, 1)), outgoing
@@ -171,7 +171,7 @@ def test_progress_never_decreases_and_all_evaluations_are_counted(followed: Whol
 
 
 def test_one_vertex_per_cell_is_evaluated_first() -> None:
-    views = views_of(MESH, RINGS, SECTORS)[1]
+    views = views_of(MESH, RINGS, SECTORS)
     job = AdaptiveJob(
         Ringed(), MESH, np.arange(len(MESH.positions)), views, sphere.view_bins(RINGS, SECTORS), 2, 0, (RINGS, SECTORS)
     )
@@ -186,12 +186,12 @@ def test_one_vertex_per_cell_is_evaluated_first() -> None:
 @pytest.mark.parametrize("scale", [1.0, 1.03])
 def test_the_error_of_interpolated_vertices_is_measured_without_noise(scale: float) -> None:
     mesh, transport = icosphere(1), Lobed()
-    views = views_of(mesh, 4, 16)[1]
+    views = views_of(mesh, 4, 16)
     job = AdaptiveJob(transport, mesh, np.arange(42), views, sphere.view_bins(4, 16), 2, 0, (4, 16))
     how = replace(
         settings_for_error(Pilot(job), first_refinement(job)[0], ERROR).refinement, validation_noise=2.0 * ERROR
     )
-    outgoing = np.concatenate([views(vertex, vertex + 1)[0] for vertex in range(42)])
+    outgoing = views(np.arange(42))[0]
     coefficients = scale * exact(transport, mesh, 4, 16, directions=1024)
     bins = np.tile(np.arange(64), (42, 1))
     off, spent = validation_errors(transport, how, np.arange(42), mesh.positions, outgoing, coefficients, bins)

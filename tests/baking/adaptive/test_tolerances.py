@@ -24,7 +24,7 @@ MESH, ERROR = icosphere(1), 0.01
 def job_of(transport: object, rings: int = 16, sectors: int = 64) -> AdaptiveJob:
     vertices = np.arange(len(MESH.positions))
     return AdaptiveJob(
-        transport, MESH, vertices, views_of(MESH, rings, sectors)[1], sphere.view_bins(rings, sectors), 2, 0
+        transport, MESH, vertices, views_of(MESH, rings, sectors), sphere.view_bins(rings, sectors), 2, 0
     )
 
 
@@ -161,7 +161,7 @@ def test_a_pilot_of_few_bins_validates_as_many_as_are_cheap(monkeypatch: pytest.
     for mesh, many in ((MESH, 128), (icosphere(4), 640)):
         tried.clear()
         vertices = np.arange(len(mesh.positions))
-        job = AdaptiveJob(Lobed(), mesh, vertices, views_of(mesh, 4, 8)[1], sphere.view_bins(4, 8), 2, 0)
+        job = AdaptiveJob(Lobed(), mesh, vertices, views_of(mesh, 4, 8), sphere.view_bins(4, 8), 2, 0)
         first, _spent = first_refinement(job)
         trials.calibrated(Pilot(job), replace(first.with_full_levels(0.1, 0.2), lattices="own"), 0.1, [])
         assert tried[-1][1] == pytest.approx(min(many, len(trials.pilot_vertices(job)) * 32), rel=0.2)
