@@ -8,7 +8,7 @@ from prt_bake.baking.adaptive.pass_settings import worst_of
 
 @dataclass(frozen=True)
 class Pass:
-    """The result of a pass over all vertices, or over those that there was time for, and its seconds if it is complete."""
+    """The result of a pass over all vertices, or those that there was time for, and its seconds if it is complete."""
 
     tally: Tally
     correction: Correction
