@@ -164,7 +164,7 @@ def test_directions_below_every_face_are_clamped() -> None:
 def test_the_inverted_normal_is_clamped_and_a_lone_vertex_has_no_horizon() -> None:
     around = vertex_faces(4, np.array([[0, 1, 2]]), np.array([[0.0, 0.0, 1.0]]))
     down = np.array([[[0.0, 0.0, -1.0]], [[0.0, 0.6, -0.8]]])
-    clamped, count = clamp_to_horizon(down, around, 2)
+    clamped, count = clamp_to_horizon(down, around, np.array([2, 3]))
     assert count == 1
     assert clamped[0, 0, 2] == pytest.approx(LOWEST_COSINE)
     np.testing.assert_array_equal(clamped[1], down[1])

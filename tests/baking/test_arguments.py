@@ -108,7 +108,7 @@ def test_a_journal_of_an_older_version_is_not_resumed(tmp_path: Path) -> None:
     out = tmp_path / "a.h5"
     with Journal(out, {"seed": 0}, resume=False) as journal:
         journal.write("block-0-12", {"bent": np.zeros(1)})
-    with pytest.raises(StorageError, match=r"journal_version was None and is 3; .* start again without resuming"):
+    with pytest.raises(StorageError, match=r"journal_version was None and is 4; .* start again without resuming"):
         bake.bake(Incoherent(), icosphere(0), **SMALL, out=out, resume=True)
     assert bake.bake(Incoherent(), icosphere(0), **SMALL, out=out).complete
 
