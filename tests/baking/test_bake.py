@@ -242,20 +242,6 @@ def test_vertices_that_are_not_finite_are_reported_and_the_others_baked() -> Non
         bake(Cracked(-2.0), mesh, 1, 2, 4, samples=64)
 
 
-class GrazingNan(Kinked):
-    """Not finite in grazing views of every vertex."""
-
-    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
-        values = super().evaluate(incident, positions, outgoing)
-        values[np.einsum("ni,ni->n", positions, outgoing) < 0.1] = np.nan
-        return values
-
-
-def test_a_bake_of_which_no_surveyed_vertex_is_finite_names_the_fault() -> None:
-    with pytest.raises(QueryError, match="GrazingNan: expected finite values, found NaN or infinite ones"):
-        bake(GrazingNan(), ball(12), 1, 8, 32)
-
-
 @pytest.mark.parametrize("method", ["stop", "interrupt"])
 def test_a_stopped_bake_leaves_a_valid_partial_asset(
     method: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path

@@ -38,6 +38,14 @@ def drive(run_node: RunNode, site: Path, steps: Sequence[Step], **job: Any) -> l
     return results
 
 
+def states(run_node: RunNode, site: Path, *between: list[Any], **job: Any) -> list[dict[str, Any]]:
+    """The state of the page when it is ready, and after each of the steps."""
+    steps: list[list[Any]] = [["ready"], ["state"]]
+    for step in between:
+        steps += [step, ["rest"], ["state"]]
+    return [found for found in drive(run_node, site, steps, **(BACKENDS["webgl"] | job)) if found]
+
+
 def relative_rms(found: Any, expected: np.ndarray) -> float:
     difference = np.reshape(np.asarray(found, np.float64), expected.shape) - expected
     return float(np.sqrt(np.square(difference).sum() / np.square(expected).sum()))

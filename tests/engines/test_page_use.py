@@ -17,7 +17,7 @@ from prt_bake.baking.compress import compress
 from prt_bake.export.gltf import export_gltf
 from prt_bake.shipped.examples import example
 from tests.engines.conftest import RunNode
-from tests.engines.pages import BACKENDS, drive, make_site
+from tests.engines.pages import BACKENDS, drive, make_site, states
 from tests.export.assets import smooth_asset
 
 pytestmark = pytest.mark.usefixtures("chromium")
@@ -43,14 +43,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def site(files: Path, tmp_path: Path) -> Path:
     return make_site(tmp_path / "site", [files / "asset.h5", files / "asset.glb"], [files / "sky.hdr"])
-
-
-def states(run_node: RunNode, site: Path, *between: list[Any], **job: Any) -> list[dict[str, Any]]:
-    """The state of the page when it is ready, and after each of the steps."""
-    steps: list[list[Any]] = [["ready"], ["state"]]
-    for step in between:
-        steps += [step, ["rest"], ["state"]]
-    return [found for found in drive(run_node, site, steps, **(WEBGL | job)) if found]
 
 
 def test_drag_orbits_and_with_shift_turns_the_light(run_node: RunNode, site: Path) -> None:

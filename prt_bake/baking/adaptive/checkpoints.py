@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from bakers.adaptive.calibration import Correction, Tally
 from bakers.adaptive.records import RefinedBlock
 from formats.errors import StorageError
-from prt_bake.baking.adaptive.pass_result import Pass
-from prt_bake.baking.adaptive.pass_settings import LATTICES, PassSettings
+from prt_bake.baking.adaptive.pass_settings import LATTICES, Pass, PassSettings
 from prt_bake.baking.output.checkpoint_store import CheckpointStore
 
 ClampedBlock = tuple[RefinedBlock, int]

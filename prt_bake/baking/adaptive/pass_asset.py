@@ -11,8 +11,7 @@ from bakers.baker import Block
 from formats.asset import Asset
 from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
 from prt_bake.baking.adaptive.checkpoints import PassCheckpoints
-from prt_bake.baking.adaptive.pass_result import Pass
-from prt_bake.baking.adaptive.pass_settings import PassSettings
+from prt_bake.baking.adaptive.pass_settings import Pass, PassSettings
 from prt_bake.baking.job.provenance import outcome
 from prt_bake.baking.job.work import Work
 from prt_bake.baking.output.pruned_sink import open_pruned_sink

@@ -1,11 +1,11 @@
-"""Settings of one pass of an adaptive bake, and the baking of a block with them."""
+"""Settings and the result of one pass of an adaptive bake, and the baking of a block."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.adaptive.calibration import Correction
+from bakers.adaptive.calibration import Correction, Tally
 from bakers.adaptive.records import Lattices, RefinedBlock, RefinementSettings
 from bakers.adaptive.refinement import refine
 from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
@@ -62,6 +62,29 @@ def refined_block(job: AdaptiveJob, refinement: RefinementSettings, vertices: In
     """Bakes a block; also the number of its bins that were clamped to the horizon."""
     outgoing, clamped = job.views(vertices)
     return refine(job.transport, refinement, vertices, job.mesh.positions[vertices], outgoing), clamped
+
+
+@dataclass(frozen=True)
+class Pass:
+    """The result of a pass over all vertices, or those that there was time for, and its seconds if it is complete."""
+
+    tally: Tally
+    correction: Correction
+    total: float
+    percentile_95: float
+    complete: bool
+    seconds: float = 0.0
+
+    @staticmethod
+    def of(tally: Tally, before: Correction, *, complete: bool, seconds: float = 0.0) -> "Pass":
+        """The errors of the vertices in the tally, corrected by their samples and the prior `before`."""
+        correction = tally.correction(before)
+        return Pass(tally, correction, *tally.relative(correction), complete, seconds)
+
+    @property
+    def worst(self) -> float:
+        """The error that is compared with the requested one."""
+        return worst_of(self.total, self.percentile_95)
 
 
 def worst_of(total: float, percentile_95: float) -> float:

@@ -20,8 +20,7 @@ from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
 from prt_bake.baking.adaptive.checkpoints import ClampedBlock, PassCheckpoints
 from prt_bake.baking.adaptive.interpolation import EvaluatedVertices, interpolated_block
 from prt_bake.baking.adaptive.parent_vertices import Interpolation
-from prt_bake.baking.adaptive.pass_result import Pass
-from prt_bake.baking.adaptive.pass_settings import PassSettings, refined_block, worst_of
+from prt_bake.baking.adaptive.pass_settings import Pass, PassSettings, refined_block, worst_of
 from prt_bake.baking.adaptive.trials import TARGET
 from prt_bake.baking.job.forecast import COST_EXPONENT
 

@@ -16,8 +16,7 @@ from bakers.adaptive.records import RefinedBlock, RefinementSettings
 from bakers.workers import Workers
 from prt_bake.baking.adaptive.adaptive_job import MANY, AdaptiveJob
 from prt_bake.baking.adaptive.parent_vertices import INTERPOLATION_TIME
-from prt_bake.baking.adaptive.pass_result import Pass
-from prt_bake.baking.adaptive.pass_settings import PassSettings, refined_block
+from prt_bake.baking.adaptive.pass_settings import Pass, PassSettings, refined_block
 from prt_bake.baking.adaptive.passes import tighter
 from prt_bake.baking.adaptive.trials import PILOT_VALIDATION_BINS
 from prt_bake.baking.job.forecast import COST_EXPONENT

@@ -19,8 +19,7 @@ from prt_bake.baking.adaptive.checkpoints import DONE, EVALUATED, PassCheckpoint
 from prt_bake.baking.adaptive.noise_pilot import first_refinement, refuse_out_of_reach
 from prt_bake.baking.adaptive.pass_asset import write_asset
 from prt_bake.baking.adaptive.pass_progress import PassProgress
-from prt_bake.baking.adaptive.pass_result import Pass
-from prt_bake.baking.adaptive.pass_settings import PassSettings, uncalibrated
+from prt_bake.baking.adaptive.pass_settings import Pass, PassSettings, uncalibrated
 from prt_bake.baking.adaptive.passes import one_pass, tighter
 from prt_bake.baking.adaptive.tolerances import settings_for_error
 from prt_bake.baking.adaptive.trials import Pilot, PilotStopped

@@ -13,8 +13,8 @@ from formats.mesh import Mesh, build_mesh, read_mesh
 from prt_bake import bake
 from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
 from prt_bake.baking.adaptive.noise_pilot import first_refinement
-from prt_bake.baking.adaptive.pass_settings import uncalibrated
-from prt_bake.baking.adaptive.passes import Pass, tighter
+from prt_bake.baking.adaptive.pass_settings import Pass, uncalibrated
+from prt_bake.baking.adaptive.passes import tighter
 from prt_bake.baking.job.views import views_of
 from prt_bake.mathematics import sh, sphere
 from prt_bake.network.bssrdf import load_model
@@ -283,6 +283,20 @@ def test_more_time_gives_smaller_errors(monkeypatch: pytest.MonkeyPatch) -> None
     assert (np.diff(rows[:, :2], axis=0) > 0).all()
     assert rows[-1, 2] < 0.3 * rows[0, 2]
     assert asset.provenance["estimated_relative_rmse"]["total"] == rows[-1, 2]
+
+
+class GrazingNan(Lobed):
+    """Not finite in grazing views of every vertex of a sphere."""
+
+    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+        values = super().evaluate(incident, positions, outgoing)
+        values[np.einsum("ni,ni->n", positions, outgoing) < 0.1] = np.nan
+        return values
+
+
+def test_a_bake_of_which_no_surveyed_vertex_is_finite_names_the_fault() -> None:
+    with pytest.raises(QueryError, match="GrazingNan: expected finite values, found NaN or infinite ones"):
+        bake(GrazingNan(), icosphere(0), rings=8, sectors=32)
 
 
 def test_invalid_arguments_raise() -> None:
