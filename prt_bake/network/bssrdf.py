@@ -126,7 +126,7 @@ def save_model(network: Model, path: str | Path) -> None:
     """Writes a model as `.pt` or `.safetensors`: tensors, and everything else as JSON.
 
     A tensor is stored in float16 if that is exact (see `rounded`), else in float32. Rounded networks of the presets
-    take 372 KiB ("paper") and at most 1,390 KiB ("measured"). Raises ModelError on another suffix or on weights that
+    take 372 KiB ("paper") and at most 1,416 KiB ("measured"). Raises ModelError on another suffix or on weights that
     are not finite, StorageError if the file cannot be written. An older file stays as it was on failure.
 
     >>> import tempfile

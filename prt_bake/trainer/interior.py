@@ -20,7 +20,7 @@ from prt_bake.trainer.samples.rows import Box
 Array = NDArray[np.float64]
 
 MOST_BYTES = 49_152
-"""Byte budget of the grids in a model file; with weights and meshes a model stays below 1,390 KiB."""
+"""Byte budget of the grids in a model file; with weights and meshes a model stays below 1,416 KiB."""
 MOST_LEARNED_BYTES = 245_760
 """Byte budget of the learned feature grid in a model file."""
 MOST_BODIES = 4
