@@ -20,8 +20,16 @@ Every command and option of `prtbake`, as printed by `prtbake COMMAND --help`.
 * `prtbake --install-completion` completes names and options in bash, zsh and fish.
 * In Python the [same functions](python.md) have names of their own.
 """
-_EXTRA = re.compile(r"\s*\[((?:default: |required|\d|x[<>])[^\[\]]*)\]$")
-_KINDS = {r"<(\w+) range>": r"<\1>", "<path>": "", "<str>": "TEXT", "<int>|<integer>": "N", "<float>": "X"}
+_EXTRA = re.compile(r"\s*\[((?:default: |required|-?\d|x[<>])[^\[\]]*)\]$")
+_KINDS = {
+    r"<(\w+) range>": r"<\1>",
+    r" <list\[Path\]>": "…",
+    "<path>": "",
+    "<str>": "TEXT",
+    "<int>|<integer>": "N",
+    "<float>": "X",
+    r"\[(\w+)\] TEXT": r"[\1]",
+}
 _LONG = 24
 """Characters of a list of choices that is written beside the option."""
 _UNBOUNDED = re.compile(r"x<=\d{7,}(\.0)?$")
@@ -59,7 +67,7 @@ def _first_sentence(context: Any) -> str:
 def _section(context: Any) -> Iterator[str]:
     """A command, then its own commands."""
     command = context.command
-    usage = " ".join(piece.strip("{}") for piece in command.collect_usage_pieces(context))
+    usage = " ".join(re.sub("[{}]", "", piece) for piece in command.collect_usage_pieces(context))
     yield from ("", f"### `{context.command_path}`", "", _prose(command.help), "")
     yield from ("```text", f"{context.command_path} {usage}", "```", "")
     names = command.list_commands(context) if hasattr(command, "list_commands") else []

@@ -19,7 +19,7 @@ from formats.asset.error_covariance import ErrorCovariance
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-METHODS = "foretold", "shared", "alone", "nearby"
+METHODS = "interpolated", "shared", "alone", "nearby"
 """Keys, in an asset's provenance, of the methods by which bins are computed: interpolation between bins, the vertex's
 shared or learned lattices, the bin's own lattice, and interpolation between vertices.
 """

@@ -104,7 +104,7 @@ def _read_channels(colour: ExrColour) -> dict[str, NDArray[Any]]:
     part = colour.part
     damaged = ImageError(f"{colour.path}: the OpenEXR image is truncated or damaged; copy it again")
     with reading(colour.path), OpenEXR.File(os.fspath(colour.path), separate_channels=True) as picture:
-        # The binding leaves out parts that it cannot read, and numbers the others anew.
+        # The binding leaves out parts that it cannot read, and numbers the others again.
         names = [str(picture.header(i).get("name", "")) for i in range(len(picture.parts))]
         if part.number >= len(names) or names[part.number] != part.name:
             raise damaged

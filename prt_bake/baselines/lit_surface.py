@@ -37,7 +37,7 @@ class LitSurface:
         self._surface, self._visibility = Surface(mesh), Visibility(mesh)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """The rays' acceleration structure is not pickled, but built anew."""
+        """The rays' acceleration structure is not pickled, but built again."""
         return type(self), (self.mesh, self._kind)
 
     def points(self, positions: Array, outgoing: Array) -> Points:

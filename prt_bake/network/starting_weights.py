@@ -34,7 +34,7 @@ def start_from(network: NeuralBSSRDF, earlier: NeuralBSSRDF) -> None:
     """Give a network the weights and the output scale of an earlier one, as far as both have the same inputs.
 
     Weights of inputs that only the new network has are 0, and learned features are interpolated at its nodes. Low bands
-    of another depth begin anew. Raises ModelError if the layers differ otherwise, as between the presets.
+    of another depth begin again. Raises ModelError if the layers differ otherwise, as between the presets.
     """
     new, before = network.settings, earlier.settings
     refuse_other_layers(new, before)

@@ -55,7 +55,7 @@ class Shaded(ABC):
 
     @abstractmethod
     def _write_shader(self) -> None:
-        """Write the shaders anew."""
+        """Write the shaders again."""
 
     def _set_vector(self, name: str, vector: NDArray[np.float64]) -> None:
         self._uniforms.SetUniform3f(name, vector.tolist())

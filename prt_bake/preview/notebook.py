@@ -16,7 +16,7 @@ _STEEPEST = 85.0
 
 
 def controls(view: View) -> Any:
-    """Return the widget that shows the view; its picture is drawn anew when a slider moves."""
+    """Return the widget that shows the view; its picture is drawn again when a slider moves."""
     preview, start = view.preview, view.start
     away = start.eye - start.target
     height = math.degrees(math.asin(float(away @ start.up / np.linalg.norm(away))))

@@ -84,7 +84,7 @@ def test_band_limited_transports_are_recovered_exactly(degree: int, rings: int, 
     bins = rings * sectors
     expected = transport.coefficients(np.repeat(mesh.positions, bins, axis=0), outgoing.reshape(-1, 3))
     found = asset.coefficients.reshape(-1, sh.count(degree), 3)
-    assert asset.provenance["bins_bent_to_the_horizon"] == 0
+    assert asset.provenance["bins_moved_to_the_horizon"] == 0
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
     assert asset.coefficients.dtype == np.float32
     assert asset.complete

@@ -151,7 +151,7 @@ def test_views_of_other_faces_are_clamped_to_the_horizon_of_the_scene(tmp_path: 
     corners = np.array([[0.5, 0.1, 0.0], [-0.3, 0.5, 0.1], [0.0, -0.5, 0.2], [0.2, 0.1, -0.5]])
     asset = baked(scene, build_mesh(corners, np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])), samples=8)
     assert asset.valid.all()
-    assert 0 < asset.provenance["bins_bent_to_the_horizon"] < 4 * RINGS * SECTORS
+    assert 0 < asset.provenance["bins_moved_to_the_horizon"] < 4 * RINGS * SECTORS
 
 
 def test_the_number_of_walks_for_an_error_is_predicted_from_one_pilot(tmp_path: Path) -> None:

@@ -90,8 +90,8 @@ def test_copies_share_the_horizon_of_all_their_faces() -> None:
     truth = exact(Lobed(), mesh, 8, 32, directions=512)
     assert asset.provenance["vertices_baked"] == 42
     assert relative(asset.coefficients - truth, truth) < 0.033
-    smooth = bake(Lobed(), icosphere(1), **SMALL, samples=32).provenance["bins_bent_to_the_horizon"]
-    whole = bake(Lobed(), mesh, **SMALL, samples=32).provenance["bins_bent_to_the_horizon"]
+    smooth = bake(Lobed(), icosphere(1), **SMALL, samples=32).provenance["bins_moved_to_the_horizon"]
+    whole = bake(Lobed(), mesh, **SMALL, samples=32).provenance["bins_moved_to_the_horizon"]
     assert smooth / 42 == pytest.approx(whole / 240, rel=0.1)
 
 

@@ -1,4 +1,4 @@
-"""Texture space: bilinear taps, one row for each place, and coordinates that suit or are made anew."""
+"""Texture space: bilinear taps, one row for each place, and coordinates that suit or are made again."""
 
 from dataclasses import replace
 

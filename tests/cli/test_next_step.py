@@ -47,6 +47,18 @@ def test_a_picture_that_exists_is_not_the_next_one(tmp_path: Path, capsys: pytes
     assert str(tmp_path / "a.png") not in _next(capsys.readouterr().err)
 
 
+def test_a_scene_that_exists_is_not_the_next_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ball(1).to_trimesh().export("a.obj")
+    say_next_of_file("mesh", Path("a.obj"))
+    assert "-o" not in _next(capsys.readouterr().err)
+    Path("a.toml").write_text("")
+    say_next_of_file("mesh", Path("a.obj"))
+    assert _next(capsys.readouterr().err)[-2:] == ["-o", "a_2.toml"]
+
+
 def test_an_exported_asset_becomes_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     export_gltf(make_asset(ball(1)), tmp_path / "a.glb")
     say_next_of_file("mesh", tmp_path / "a.glb")

@@ -48,10 +48,10 @@ def write_asset(
         report["refinement"] = {
             "passes": passes,
             "bins_by_directions": {str(size): by_directions[size] for size in sorted(by_directions)},
-            "bins_foretold": 1.0 - done.tally.evaluated_bins / max(1, done.tally.bins),
-            "vertices_foretold": interpolated,
-            "bins_checked": done.tally.validated_bins,
-            "checked_over_stated_variance": dict(zip(METHODS, done.correction.factors.tolist(), strict=True)),
+            "bins_interpolated": 1.0 - done.tally.evaluated_bins / max(1, done.tally.bins),
+            "vertices_interpolated": interpolated,
+            "bins_validated": done.tally.validated_bins,
+            "validated_over_stated_variance": dict(zip(METHODS, done.correction.factors.tolist(), strict=True)),
             "bound_factor": done.correction.bound,
             "lattice_gain": {"shared": vars(settings.refinement.noise), "alone": vars(settings.refinement.pool_noise)},
         }

@@ -155,7 +155,7 @@ def _bake_for_time(run: Run, refinement: RefinementSettings) -> Asset:
 def _last_complete(run: Run) -> Pass | None:
     """The last pass that an earlier run for a time has completed, and whose asset is in the file.
 
-    A pass with other settings follows it: those of the time that is left. Its own blocks begin anew.
+    A pass with other settings follows it: those of the time that is left. Its own blocks begin again.
     """
     numbers = [int(name.removeprefix(DONE)) for name in run.store.names(DONE)]
     if not numbers:

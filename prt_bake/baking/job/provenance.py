@@ -42,7 +42,7 @@ def outcome(
         "evaluations": work.evaluations,
         "seconds": work.seconds,
         "estimated_relative_rmse": {"total": total, "percentile_95_over_vertices": percentile_95},
-        "bins_bent_to_the_horizon": clamped,
+        "bins_moved_to_the_horizon": clamped,
         "vertices_not_finite": {"count": len(invalid), "first": invalid[:SHOWN]},
         "vertices_baked": baked,
     }

@@ -51,7 +51,7 @@ def make(
         typer.Option(
             callback=_enough,
             help="Time of all runs in the folder together, 2 or more; by default 20, or what the folder has. With "
-            "twice as much the training goes on; with less, what was left out is made.",
+            "twice as much the training goes on; with less than that, only what was left out is made.",
             show_default=False,
         ),
     ] = None,
@@ -72,10 +72,10 @@ def make(
     exposure: Exposure = 0.0,
     tone_map: ToneMap = "agx",
     force: Annotated[
-        bool, typer.Option("--force", help="Make everything anew; removes the files of an earlier run.")
+        bool, typer.Option("--force", help="Make everything again; removes the files of an earlier run.")
     ] = False,
 ) -> None:
-    """Train, bake and picture an object, within a given time.
+    """Train, bake and render an object, within a given time.
 
     For example: `prtbake make skull.glb -o skull --material jade --size 14cm`
 
@@ -138,7 +138,7 @@ def _scene_file(
     path = folder / f"{scene.stem}.toml"
     if path.exists() and not force:
         _refuse_other_scene(path, scene, material, size, up)
-        say(f"{path}: is there already, and is used; --force writes it anew")
+        say(f"{path}: is there already, and is used; --force writes it again")
         return path, None
     draft = draft_scene(scene, material, size, path, up)
     if size is None:
@@ -200,7 +200,7 @@ def _refuse_other_scene(
     if draft_scene(mesh, material, size, path, up).text() != path.read_text(encoding="utf-8"):
         raise StorageError(
             f"{path}: is another scene than --material, --size and --up ask for; leave them out to use it as it is, "
-            "add --force to make everything anew, or choose another folder"
+            "add --force to make everything again, or choose another folder"
         )
 
 

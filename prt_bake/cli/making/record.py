@@ -70,7 +70,7 @@ class Record:
         """Return the record of a folder, or begin one.
 
         Without `minutes` a folder keeps its time. With as much again as its steps took the training continues, and what
-        follows is made anew; with less more its model and its asset stay. Other pictures are made anew alone. Raises
+        follows is made again; with less more its model and its asset stay. Other pictures are made again alone. Raises
         StorageError if the folder holds files of these names that are of other settings, or were not made by `prtbake
         make`, unless `force`, which removes them.
         """
@@ -90,7 +90,7 @@ class Record:
     @classmethod
     def _read(cls, folder: Path, wanted: dict[str, Any]) -> Self:
         path = folder / SUMMARY
-        again = "choose another folder, or add --force to make everything anew"
+        again = "choose another folder, or add --force to make everything again"
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
             steps = [Step(**step) for step in content.pop("steps")]
@@ -104,7 +104,7 @@ class Record:
         if record.settings.get("scene_hash") != wanted["scene_hash"] or (up in before and before[up] != now[up]):
             raise StorageError(
                 f"{folder}: {scene} has changed since it was made: {_changes(before, now)}; choose another folder, "
-                f"where --from {folder / MODEL} saves most of the training, or add --force to make everything anew"
+                f"where --from {folder / MODEL} saves most of the training, or add --force to make everything again"
             )
         if record.settings.get("start_hash") != wanted["start_hash"]:
             raise StorageError(f"{folder}: was made with another --from, or without it; give the same, or {again}")
@@ -116,7 +116,7 @@ class Record:
         if minutes < self.minutes:
             raise StorageError(
                 f"{self.folder}: was made for {self.minutes:g} minutes, found --minutes {minutes:g}; omit it to keep "
-                "the time, ask for more to train on, or add --force to make everything anew"
+                "the time, ask for more to train on, or add --force to make everything again"
             )
         if 60.0 * minutes <= self.spent:
             raise StorageError(
@@ -127,7 +127,7 @@ class Record:
         enough = math.ceil((self.spent + sum(step.seconds for step in self.steps)) / 60.0)
         if minutes < enough:
             say(
-                f"{self.folder}: --minutes {minutes:g} is too short to train on and bake anew, so its model and its "
+                f"{self.folder}: --minutes {minutes:g} is too short to train on and bake again, so its model and its "
                 f"asset stay; ask for {enough} or more to train on"
             )
             return

@@ -69,7 +69,9 @@ def say_next_of_file(kind: str, file: Path) -> None:
         if glb_extras(file) is not None:
             say_next("prtbake", "export", file, "-o", unused(file.with_suffix("")))
             return
-        say_next("prtbake", "init", file, "--material", "jade", *(("--size", "10cm") if needs_a_size(file) else ()))
+        size = ("--size", "10cm") if needs_a_size(file) else ()
+        scene = unused(usual := file.with_suffix(".toml"))
+        say_next("prtbake", "init", file, "--material", "jade", *size, *(() if scene == usual else ("-o", scene)))
     elif kind == "scene" and not model.exists():
         say_next("prtbake", "train", file, "-o", model)
     elif file.suffix.lower() == ".onnx":

@@ -19,7 +19,7 @@ ROWS_PER_BATCH = 8192
 _PROBES = 64
 """Rows by which a file is tested when it is loaded."""
 _PAIRS = (1, 23, 45)
-"""First rows of the pairs that are evaluated apart; odd, so that files with a fixed number of rows batch them anew."""
+"""First rows of the pairs that are evaluated apart; odd, so that files with a fixed number of rows batch them again."""
 _SAME = 0.01
 """Largest difference, over the largest value, that rounding may make: float16 makes thousandths."""
 Function = Callable[[NDArray[np.float64]], Any]

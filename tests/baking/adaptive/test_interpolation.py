@@ -79,7 +79,7 @@ def some_vertices(count: int = 150) -> Array:
 
 
 def interpolated(asset: Asset) -> int:
-    return int(asset.provenance["refinement"]["vertices_foretold"])
+    return int(asset.provenance["refinement"]["vertices_interpolated"])
 
 
 def test_most_vertices_of_a_fine_mesh_are_interpolated_and_the_reported_error_is_correct(whole: Asset) -> None:

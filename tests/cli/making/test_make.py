@@ -61,7 +61,7 @@ def test_more_minutes_train_on(stand_ins, capsys):
     Path("out/model.report.json").write_text("the report of the shorter training")
     calls = stand_ins.run("wax.toml", "-o", "out", "--minutes", "30")
     assert [call[0] for call in calls] == ["train", "bake", "picture", "turntable"]
-    assert calls[0] == ("train", 14.4, True)  # 55 % of 30 minutes less the 228 s of what is made anew
+    assert calls[0] == ("train", 14.4, True)  # 55 % of 30 minutes less the 228 s of what is made again
     assert "train, 15:12 min left of 30:00 min" in capsys.readouterr().err
     assert summary()["steps"][0]["seconds"] == 960.0
     assert summary()["minutes"] == 30.0
@@ -72,7 +72,7 @@ def test_more_minutes_train_on(stand_ins, capsys):
 
 
 def test_few_more_minutes_keep_the_model_and_make_what_was_left_out(stand_ins, capsys):
-    """A bake anew, in less time than the first had, would be worse, and the training would not go on."""
+    """A bake again, in less time than the first had, would be worse, and the training would not go on."""
     stand_ins.seconds["train"], stand_ins.frame = 1150.0, 32.0
     stand_ins.run("wax.toml", "-o", "out")
     stand_ins.frame = 4.0
@@ -80,7 +80,7 @@ def test_few_more_minutes_keep_the_model_and_make_what_was_left_out(stand_ins, c
     assert [call[0] for call in stand_ins.run("wax.toml", "-o", "out", "--minutes", "26")] == ["turntable"]
     assert Path("out/asset.h5").stat() == asset
     found = capsys.readouterr().err
-    assert "--minutes 26 is too short to train on and bake anew, so its model and its asset stay" in found
+    assert "--minutes 26 is too short to train on and bake again, so its model and its asset stay" in found
     enough = re.search(r"ask for (\d+) or more to train on", found)[1]
     assert stand_ins.run("wax.toml", "-o", "out", "--minutes", str(int(enough) - 1)) == []
     again = re.search(r"ask for (\d+) or more to train on", capsys.readouterr().err)[1]

@@ -40,7 +40,7 @@ def test_a_mesh_gets_a_scene_in_the_folder(stand_ins, capsys):
     stand_ins.run("ball.obj", "-o", "out", "--material", "jade", "--size", "4cm")
     assert 'material = "jade"' in Path("out/ball.toml").read_text()
     assert stand_ins.run("ball.obj", "-o", "out", "--material", "jade", "--size", "4cm") == []
-    assert "out/ball.toml: is there already, and is used; --force writes it anew" in capsys.readouterr().err
+    assert "out/ball.toml: is there already, and is used; --force writes it again" in capsys.readouterr().err
     assert stand_ins.run("ball.obj", "-o", "out") == []
     with pytest.raises(PrtbakeError, match=r"ball\.toml: is another scene than --material, --size and --up ask for"):
         stand_ins.run("ball.obj", "-o", "out", "--material", "jade", "--size", "5cm")
