@@ -4,6 +4,7 @@ Pages are MyST Markdown. Three parts are made at every build: the reference of a
 itself; the lessons, which are the notebooks with their stored outputs; the gallery's live page.
 """
 
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -58,8 +59,14 @@ def copy_lessons() -> None:
         shutil.copy(notebook, lessons)
 
 
+def link_lessons(app: Sphinx, page: str, text: list[str]) -> None:
+    """Turn links to the notebooks, which hold where the sources are read, into links to their copies."""
+    text[0] = re.sub(r"\.\./notebooks/(\w+\.ipynb)", r"lessons/\1", text[0])
+
+
 def setup(app: Sphinx) -> None:
     """Make the generated pages, read docstrings, and add the gallery's live page."""
+    app.connect("source-read", link_lessons)
     write_commands()
     copy_lessons()
     import docstrings

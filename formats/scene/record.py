@@ -126,7 +126,7 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
     """
     path = Path(path)
     tables = parse_scene(path)
-    scene = Scene(path, tables, tables.object.up, tables.object.unit, read_parts(tables, path))
+    scene = Scene(path, tables, tables.object.up, tables.object.stated_unit, read_parts(tables, path))
     return dataclasses.replace(scene, content_hash=_content_hash(scene.parts))
 
 

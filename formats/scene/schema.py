@@ -49,6 +49,12 @@ class ObjectTable(Table):
         return symbol
 
     @property
+    def stated_unit(self) -> str:
+        """The unit as models and assets state it: its symbol, or its length, such as "81.49442 mm"."""
+        other = self.unit_in_mm is not None and self.unit not in MILLIMETRES
+        return f"{self.unit_in_mm:.7g} mm" if other else self.unit
+
+    @property
     def length_in_mm(self) -> float | None:
         """Millimetres per scene unit; None if they are not known."""
         return MILLIMETRES.get(self.unit) if self.unit_in_mm is None else self.unit_in_mm

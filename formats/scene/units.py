@@ -31,6 +31,20 @@ def unit_symbol(name: str) -> str:
     raise ValueError(f"did you mean {close[0]!r}?" if close else f"expected one of {', '.join(MILLIMETRES)}")
 
 
+def millimetres(unit: str) -> float | None:
+    """Return the length of a unit as scenes, models and assets state it: "cm", or "81.49442 mm"; None if not known.
+
+    >>> millimetres("cm"), millimetres("81.49442 mm"), millimetres("unit")
+    (10.0, 81.49442, None)
+    """
+    if unit in MILLIMETRES:
+        return MILLIMETRES[unit]
+    try:
+        return read_length(unit)
+    except ValueError:
+        return None
+
+
 def read_length(text: str) -> float:
     """Return a length such as "14cm", "5.5 in" or "0.3 metres" in millimetres.
 

@@ -99,6 +99,8 @@ def train_from_pictures(
     stopped = fit.learn(steps, timed, reference, progress, stop or (lambda: False))
     network = model.eval().rounded()
     training = network.metadata["training"] = fit.description(reference.quantity)
+    if output is not None:
+        save_model(network, output)  # before figures that Ctrl-C interrupts
     try:
         if not stopped:
             seconds = math.inf if timed is None else timed.figures()

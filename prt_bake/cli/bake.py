@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from formats.errors import PrtbakeError
+from prt_bake.cli.shared.ineffective import refuse_given
 from prt_bake.cli.shared.kinds import SOURCE, refuse_other_kinds
 from prt_bake.cli.shared.mesh_name import naming_mesh
 from prt_bake.cli.shared.next_step import say_next_of_asset
@@ -132,6 +133,8 @@ def bake(
     Projects the transport at every vertex and view bin on spherical harmonics. Ctrl-C stops the bake; the vertices
     finished so far are written as a valid partial asset.
     """
+    if source.suffix.lower() == ".toml":
+        refuse_given(context, ("directions", "convention", *(("lobes",) if lobes else ())), "on a scene, which is path traced")
     if output is None and not dry_run:
         raise typer.BadParameter("Missing option '--output' / '-o'; only --dry-run works without it.")
     refuse_other_kinds({"SOURCE": (source, SOURCE), "MESH": (mesh, ("mesh",)), "--for-light": (for_light, ("sky",))})

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from formats.errors import QueryError
+from formats.errors import QueryError, StorageError
 from prt_bake.cli.shared.ineffective import refuse_ineffective
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.next_step import say_next
@@ -109,6 +109,7 @@ def export(
 
         outputs = texture_files(output) if target == "exr" else (output,)
         check_outputs({"--output": outputs}, {"SOURCE": source, "--light": light, "--onto": onto})
+        _refuse_foreign(outputs)
         from formats.asset import read_asset
         from prt_bake.export.gltf import prepare_export, write_gltf
 
@@ -142,6 +143,16 @@ def _target(source: list[Path], output: Path, to: Target | None) -> Target:
         named = output.with_suffix(f".{target}")
         raise QueryError(f"{output}: expected a name that ends in .{target}; give -o {named}")
     return target
+
+
+def _refuse_foreign(outputs: tuple[Path, ...]) -> None:
+    """Refuse to replace files that no export wrote: a modelled mesh or a texture may have the name of the asset."""
+    from prt_bake.inspection.exported import is_exported
+
+    exported = is_exported(outputs[1] if len(outputs) > 1 else outputs[0])
+    for path in outputs:
+        if path.exists() and not exported:
+            raise StorageError(f"{path}: already exists, and is no export of prtbake; choose another name, or remove it")
 
 
 def _to_site(assets: list[Path], folder: Path, lights: list[str], mend: bool, force: bool) -> None:

@@ -159,6 +159,8 @@ def render(
     check_outputs(outputs, inputs | {"MESH": mesh, "--light": light})
     is_scene = source.suffix.lower() == ".toml"
     refuse_unseen_exposure(exposure, output, preview)
+    if preview is None:
+        refuse_given(context, ("every",), "without --preview")
     if normals is not None and not reflection:
         raise typer.BadParameter("--normals: applies to the reflection; add --reflection")
     if is_scene:

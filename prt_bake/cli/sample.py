@@ -6,6 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from formats.errors import FormatError, PrtbakeError
+from prt_bake.cli.shared.ineffective import refuse_given
 from prt_bake.cli.shared.kinds import refuse_other_kinds
 from prt_bake.cli.shared.next_step import say_next, unused
 from prt_bake.cli.shared.options import Force, Seed, Size, read_size
@@ -14,13 +15,16 @@ from prt_bake.cli.shared.progress import reporting, stopping
 from prt_bake.cli.shared.test_sets import write_olat
 
 _SUFFIXES = (".h5", ".hdf5")
+_OF_SAMPLES = ("count", "walks", "directions", "force")
+_OF_OLAT = ("views", "lights", "test_views", "test_lights", "size", "spp", "skies", "subsurface", "light_diameter", "dry_run")
 
 
-def _of_olat(text: str, low: int = 1) -> Any:
+def _olat_option(text: str, low: int = 1) -> Any:
     return typer.Option(min=low, max=1 << 16, help=f"With --olat: {text}", show_default=False)
 
 
 def sample(
+    context: typer.Context,
     scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene to path trace.")],
     output: Annotated[
         Path,
@@ -35,17 +39,17 @@ def sample(
             "--olat", help="Write a test set instead: pictures under one directional light at a time, and under skies."
         ),
     ] = False,
-    views: Annotated[int | None, _of_olat("cameras of the training set; by default 16.")] = None,
-    lights: Annotated[int | None, _of_olat("lights of the training set; by default 8.")] = None,
-    test_views: Annotated[int | None, _of_olat("cameras of the test set; by default 8.")] = None,
-    test_lights: Annotated[int | None, _of_olat("lights of the test set; by default 2.")] = None,
+    views: Annotated[int | None, _olat_option("cameras of the training set; by default 16.")] = None,
+    lights: Annotated[int | None, _olat_option("lights of the training set; by default 8.")] = None,
+    test_views: Annotated[int | None, _olat_option("cameras of the test set; by default 8.")] = None,
+    test_lights: Annotated[int | None, _olat_option("lights of the test set; by default 2.")] = None,
     size: Annotated[
         Any,
         typer.Option(
             parser=read_size, metavar="WxH", help="With --olat: pixels; by default 256x256.", show_default=False
         ),
     ] = None,
-    spp: Annotated[int | None, _of_olat("paths per pixel; by default 64.", 2)] = None,
+    spp: Annotated[int | None, _olat_option("paths per pixel; by default 64.", 2)] = None,
     skies: Annotated[
         list[Path] | None,
         typer.Option(
@@ -88,23 +92,19 @@ def sample(
     It first prints size and time. Ctrl-C keeps the finished pictures, and the same command continues. `prtbake compare
     PREDICTED FOLDER` scores predicted pictures.
     """
-    chosen: dict[str, Any] = {"views": views, "lights": lights, "test_views": test_views, "test_lights": test_lights}
-    chosen |= {"spp": spp, "light_diameter": light_diameter}
     if olat:
-        if count is not None:
-            raise typer.BadParameter("--count: is of training samples; with --olat give --views and --lights")
+        refuse_given(context, _OF_SAMPLES, "with --olat")
         refuse_other_kinds({"SCENE": (scene, ("scene",)), "--sky": (skies, ("sky",))})
         from prt_bake.olat.settings import OlatSettings
 
-        numbers = {name: value for name, value in chosen.items() if value is not None}
+        chosen: dict[str, Any] = {"views": views, "lights": lights, "test_views": test_views, "test_lights": test_lights}
+        chosen |= {"spp": spp, "light_diameter": light_diameter}
         if isinstance(size, Size):
-            numbers |= {"width": size.width, "height": size.height}
+            chosen |= {"width": size.width, "height": size.height}
+        numbers = {name: value for name, value in chosen.items() if value is not None}
         settings = OlatSettings(seed=seed, subsurface=subsurface, **numbers)
         return write_olat(scene, output, settings, skies or [], dry_run)
-    chosen |= {"size": size, "sky": skies, "subsurface": subsurface or None, "dry_run": dry_run or None}
-    for name, value in chosen.items():
-        if value is not None:
-            raise typer.BadParameter(f"--{name.replace('_', '-')}: is of test sets; add --olat, or leave it out")
+    refuse_given(context, _OF_OLAT, "without --olat")
     if count is None:
         raise typer.BadParameter("Missing option '--count'; only --olat works without it.")
     if output.suffix.lower() not in _SUFFIXES:

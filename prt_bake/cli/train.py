@@ -117,6 +117,8 @@ def train(
     """
     began = time.perf_counter() - _START_AND_END
     _refuse_ineffective(context, baseline, light, start, only_low_bands)
+    if light is None:
+        refuse_given(context, ("mend",), "without --light")
     outputs: dict[str, Paths] = {"--output": output, "the checkpoint": state_path(output)}
     outputs |= {"--report": report_paths(output)} if with_report else {}
     outputs |= {"--importance": importance_path(output)} if with_importance else {}
@@ -145,7 +147,7 @@ def train(
         selected = select_device(device)
         fitted = partial(fit, settings=settings, start=earlier, only_low_bands=only_low_bands)
     else:
-        from prt_bake.baselines.door import train_baseline
+        from prt_bake.baselines.by_name import train_baseline
 
         selected, fitted = "cpu" if device == "auto" else device, partial(train_baseline, baseline=baseline)
     read = read_scene(scene)
@@ -211,7 +213,7 @@ def _refuse_ineffective(
         raise typer.BadParameter("--only-low-bands: keeps the other layers of an earlier model; name it with --from")
     if light is None:
         return
-    from prt_bake.baselines.door import FROM_PICTURES
+    from prt_bake.baselines.by_name import FROM_PICTURES
 
     if baseline not in FROM_PICTURES:
         names = " and ".join(FROM_PICTURES)

@@ -59,8 +59,8 @@ def view(
             "--light",
             metavar="LIGHT",
             help="Lat-long sky, lights file (.toml), sun:x,y,z or sphere:x,y,z:radius, as for `prtbake shade`; by "
-            "default the shipped sky. Can be repeated: the window switches between the lights and their sum. Changed "
-            "files are reloaded.",
+            "default the shipped sky. Can be repeated: the window switches between the lights and their sum, which "
+            "--screenshot shows. Changed files are reloaded.",
             show_default=False,
         ),
     ] = None,
@@ -204,8 +204,9 @@ def _open(baked: "Asset", options: _Options, refined: bool) -> _Opened:
         light = [str(example("sky.hdr"))] if baked.quantity == "transfer" else []
     axis = options.up or baked.up
     sources = [LightSource(text, axis, baked.degree, options.mend, say, baked.mesh) for text in light]
-    if len(light) > 1 and not refined:  # a screenshot shows the first one
-        sources.append(LightSource(light, axis, baked.degree, options.mend, lambda _: None, baked.mesh))
+    if len(light) > 1:
+        both = LightSource(light, axis, baked.degree, options.mend, lambda _: None, baked.mesh)
+        sources = [both] if refined else [*sources, both]
     preview = Preview(
         baked,
         sources,

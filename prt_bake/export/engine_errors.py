@@ -89,8 +89,8 @@ def errors_by_degree(asset: Asset, light: ArrayLike | None = None) -> Array:
     return np.asarray(np.sqrt(squares / (norm or 1.0)))
 
 
-def degree_for(asset: Asset, error: float, light: ArrayLike | None = None) -> int:
-    """The least degree of the view whose coefficients are within `error`.
+def degrees_for(asset: Asset, error: float, light: ArrayLike | None = None) -> range:
+    """The degrees of the view from the least one on whose coefficients are within `error`, before they are stored.
 
     Raises QueryError if `error` is not between 0 and 1, or if no degree up to 8 suffices.
     """
@@ -102,7 +102,7 @@ def degree_for(asset: Asset, error: float, light: ArrayLike | None = None) -> in
             f"error: harmonics of the view of degree {len(errors) - 1} leave {errors[-1]:.3g}, expected {error:g} or "
             f"less; give a larger error, or use the asset itself, which has view bins"
         )
-    return int(np.argmax(errors <= error))
+    return range(int(np.argmax(errors <= error)), len(errors))
 
 
 def _lights(form: EngineForm, sky: Array) -> list[Array]:

@@ -8,14 +8,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
 from formats.errors import QueryError, refuse_path
-from formats.scene.units import MILLIMETRES
+from formats.scene.units import millimetres
 from formats.version import program_version
 from prt_bake.export.attributes import Exported, prt_attributes, vertex_colours
-from prt_bake.export.engine_errors import FormError, degree_for, form_error
-from prt_bake.export.engine_form import DEFAULT_DEGREE, engine_form
+from prt_bake.export.engine_errors import FormError, degrees_for, form_error
+from prt_bake.export.engine_form import DEFAULT_DEGREE, EngineForm, engine_form
 from prt_bake.export.extras import StatedLight, extras, texel_coordinates
 from prt_bake.export.glb import Buffer, write_glb
-from prt_bake.export.quantization import dequantized, in_halves, quantized, warn_of_bright_vertices
+from prt_bake.export.quantization import (
+    Quantized,
+    dequantized,
+    in_halves,
+    quantized,
+    warn_of_bright_vertices,
+)
 from prt_bake.lights.environment import project, read_environment
 from prt_bake.shading.vertices import light_coefficients
 from prt_bake.shipped.examples import example
@@ -85,20 +91,34 @@ def prepare_export(
         raise QueryError(f"quantize: expected 'int8' or None, found {quantize!r}")
     into = None if light is None else light.coefficients
     light = light or _default_light(asset)
-    if error is not None:
-        degree = degree_for(asset, error, into)
-    form = engine_form(asset, DEFAULT_DEGREE if degree is None else degree, into)
-    codes = quantized(form) if quantize else None
-    if codes is not None:
-        exact, form = form, dequantized(form, codes)
-        warn_of_bright_vertices(exact, form)
-    form = in_halves(form) if halves else form
-    measured = form_error(asset, form, light.coefficients, into)
+    degrees = [DEFAULT_DEGREE if degree is None else degree] if error is None else degrees_for(asset, error, into)
+    for chosen in degrees:
+        form, codes = _stored(asset, chosen, into, quantize, halves)
+        measured = form_error(asset, form, light.coefficients, into)
+        if error is None or measured.coefficients <= error:
+            break
+    else:
+        raise QueryError(
+            f"error: rounded numbers leave {measured.coefficients:.3g} at degree {degrees[-1]}, expected {error:g} or "
+            "less; give a larger error, or omit quantize"
+        )
     colours, scale = vertex_colours(asset, light.coefficients)
     entries = extras(asset, form, measured, light, scale)
     if codes is not None:
         entries |= {"quantize": "int8", "scales": codes.scales.astype(float).tolist()}
     return Exported(form, codes, measured, entries, colours)
+
+
+def _stored(
+    asset: Asset, degree: int, into: Array | None, quantize: str | None, halves: bool
+) -> tuple[EngineForm, Quantized | None]:
+    """The form as its numbers are stored, and its codes with `quantize`."""
+    form = engine_form(asset, degree, into)
+    codes = quantized(form) if quantize else None
+    if codes is not None:
+        exact, form = form, dequantized(form, codes)
+        warn_of_bright_vertices(exact, form)
+    return in_halves(form) if halves else form, codes
 
 
 def write_gltf(
@@ -159,8 +179,8 @@ def _default_light(asset: Asset) -> StatedLight:
 
 
 def _node(asset: Asset, origin: Array) -> dict[str, Any]:
-    """The node of the mesh: object space in metres, y up."""
-    metres = MILLIMETRES.get(asset.unit, 1000.0) / 1000.0
+    """The node of the mesh: object space in metres, y up. A unit of unknown length counts as a metre."""
+    metres = (millimetres(asset.unit) or 1000.0) / 1000.0
     placed = origin if asset.up == "y" else origin[[0, 2, 1]] * [1.0, 1.0, -1.0]
     node: dict[str, Any] = {"name": "prtbake", "mesh": 0, "translation": (metres * placed).tolist()}
     if asset.up == "z":

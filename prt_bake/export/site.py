@@ -6,14 +6,19 @@ with a name and a file, the first of each first.
 """
 
 import json
+import math
 import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
 
 from formats.asset import read_asset
+from formats.asset.compact_record import CompactCoefficients
 from formats.atomic import create_folder, existing, storage_error
 from formats.errors import FormatError, QueryError, StorageError
 from formats.image import write_image
@@ -22,10 +27,15 @@ from formats.mesh import Mesh
 from formats.version import program_version
 from prt_bake.export.light_pictures import light_picture
 from prt_bake.inspection.exported import glb_extras
+from prt_bake.lights.lighting import Lighting, read_lighting
 from prt_bake.shipped.examples import example
 
 PAGE = Path(__file__).parent / "page"
 _SUFFIXES = (".html", ".js", ".css")
+_OF_SYSTEMS = {".DS_Store", "Thumbs.db", "desktop.ini"}
+"""What file managers leave in a folder that somebody looked into."""
+_MOST_TEXELS = 8192**2
+"""Of a texture on a GPU of a browser (`page/shader.js`)."""
 _LARGE = 50e6
 """Bytes of an asset above which a smaller form is recommended."""
 
@@ -148,6 +158,7 @@ def _shown(path: Path) -> _Shown:
     if suffix not in (".h5", ".hdf5"):
         raise FormatError(f"{path}: expected an asset (.h5) or what `prtbake export` wrote (.glb), found {suffix!r}")
     with read_asset(path, load=False) as asset:
+        _refuse_beyond_texture(path, asset.coefficients)
         remarks = []
         if asset.lobes is not None:
             remarks.append("its lobes are not shown: the page lights by harmonics")
@@ -156,6 +167,19 @@ def _shown(path: Path) -> _Shown:
         if any(item.get("item") == "other views" for item in asset.left_out):
             remarks.append("is baked for one camera position (--for-eye); from others the page shows it wrongly")
         return _Shown(asset.up, asset.mesh, asset.quantity == "transfer", tuple(remarks))
+
+
+def _refuse_beyond_texture(path: Path, coefficients: Any) -> None:
+    """Raise QueryError if an asset that is not compact has more coefficients than a browser holds on the GPU."""
+    if isinstance(coefficients, CompactCoefficients):
+        return
+    vertices, bins, terms, channels = coefficients.shape
+    texels = vertices * (bins + 1) * math.ceil(terms * channels / 4)
+    if texels > _MOST_TEXELS:
+        raise QueryError(
+            f"{path}: {vertices:,} vertices of {bins} view bins are {texels / _MOST_TEXELS:.1f} times what a browser holds "
+            f"on the GPU; show a smaller form: prtbake compress {path} -o {path.with_suffix('.compact.h5')}"
+        )
 
 
 def _shown_glb(path: Path) -> _Shown:
@@ -197,12 +221,22 @@ def _add_light(
                 f"{light}: has a direction in object space, but some assets have y up and others z up; export them "
                 "to folders of their own"
             )
+        if any(not _same_suns(lighting, light, each) for each in shown if each.takes_light and each.mesh is not None):
+            raise QueryError(
+                f"{light}: is near the objects, which see it in different directions; export them to folders of their own"
+            )
         say(f"{name}: the page lights by harmonics: suns look softer than in `prtbake shade`")
     with tempfile.TemporaryDirectory() as folder:
         written = Path(folder) / "light.hdr"
         write_image(written, picture)
         stem = name if name.startswith(("sun:", "sphere:")) else Path(light).stem
         return {"name": name, "file": _add(files, f"{stem}.hdr", written.read_bytes())}
+
+
+def _same_suns(lighting: Lighting, light: str | Path, shown: _Shown) -> bool:
+    """Whether an object sees the suns of a light, and its spheres, where the first object does."""
+    own = read_lighting([light], shown.up, mesh=shown.mesh, degree=0, say=lambda sentence: None)
+    return all(np.allclose(a.direction, b.direction, atol=1e-6) for a, b in zip(own.suns, lighting.suns, strict=True))
 
 
 def _refuse_other_folder(folder: Path, force: bool) -> None:
@@ -215,7 +249,7 @@ def _refuse_other_folder(folder: Path, force: bool) -> None:
         raise StorageError(
             f"{folder}: is the current folder, or where a disk is mounted, and cannot be replaced; name a folder in it"
         )
-    found = {path.name for path in folder.iterdir()}
+    found = {path.name for path in folder.iterdir()} - _OF_SYSTEMS
     if not found:
         return
     try:

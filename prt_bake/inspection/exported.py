@@ -7,6 +7,18 @@ from typing import Any
 from formats.errors import FormatError
 
 
+def is_exported(path: Path) -> bool:
+    """Whether `prtbake export` wrote a file: X.glb, or the description X.json of a texture."""
+    if not path.is_file():
+        return False
+    if path.suffix.lower() != ".json":
+        return glb_extras(path) is not None
+    try:
+        return {"texture", "view_degree"} <= set(json.loads(path.read_text(encoding="utf-8")))
+    except (ValueError, TypeError):
+        return False
+
+
 def glb_extras(path: Path) -> dict[str, Any] | None:
     """Return `extras.prtbake` of the first mesh that has it; None if there is none, or the file is no GLB.
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from formats.asset.total_error import ErrorInterval
-from formats.scene.units import MILLIMETRES, NO_UNIT
+from formats.scene.units import MILLIMETRES, NO_UNIT, millimetres
 
 Figures = Mapping[str, Any]
 """What `describe` of a file returns."""
@@ -193,10 +193,8 @@ def _longest_side(bounds: Any, unit: str) -> str:
 
 
 def _length(value: float, unit: str) -> str:
-    if unit == NO_UNIT:
-        return f"{value:.4g} scene units"
-    length = MILLIMETRES.get(unit)
-    return f"{value:.4g} {unit}" + ("" if length in (None, 1.0) else f" ({value * length:.4g} mm)")
+    length, name = millimetres(unit), unit if unit in MILLIMETRES else "scene units"
+    return f"{value:.4g} {name}" + ("" if length is None or name == "mm" else f" ({value * length:.4g} mm)")
 
 
 def _surface(figures: Figures) -> str:

@@ -10,13 +10,13 @@ const server = await serve({ "/": job.site }, job.headers);
 /** What the page says, shows and measured. */
 const state = (page) => page.evaluate(() => {
   const text = (id) => document.getElementById(id).textContent, value = (id) => Number(document.getElementById(id).value);
-  const { backend, selftest, opened, frames, model } = window.prtbake ?? {};
+  const { backend, selftest, opened, frames, model, camera } = window.prtbake ?? {};
   const shown = (id) => !document.getElementById(id).hidden;
   return {
     backend, selftest, opened, frames, message: shown("message") ? text("message") : "", name: text("name"),
     figures: text("figures"), error: text("error"), check: text("check"), leftOut: text("left-out"), turn: value("turn"),
     height: value("height"), light: document.getElementById("light").selectedOptions[0]?.textContent, lights: shown("light-row"),
-    eye: model?.eye.value.toArray(), heightShown: shown("height-row"),
+    eye: model?.eye.value.toArray(), heightShown: shown("height-row"), lit: model?.mesh.visible, angle: camera?.fov, aspect: camera?.aspect,
   };
 });
 
@@ -101,6 +101,16 @@ const STEPS = {
     for (let i = 1; i <= 5; i++) await touch.move(x + ((toX - x) * i) / 5, y + ((toY - y) * i) / 5);
     await touch.end();
   },
+  /** Move two fingers apart by half, up to two points. */
+  pinch: async (page, [x, y], [toX, toY]) => {
+    const [midX, midY] = [(x + toX) / 2, (y + toY) / 2], ends = [[x, y], [toX, toY]], fingers = [];
+    const at = ([endX, endY], i) => [midX + ((endX - midX) * i) / 6, midY + ((endY - midY) * i) / 6];
+    for (const end of ends) fingers.push(await page.touchscreen.touchStart(...at(end, 4)));
+    for (let i = 5; i <= 6; i++) for (const [which, finger] of fingers.entries()) await finger.move(...at(ends[which], i));
+    for (const finger of fingers) await finger.end();
+  },
+  /** Turn a phone, or change the size of the window. */
+  resize: (page, width, height) => page.setViewport({ width, height, isMobile: Boolean(job.touch), hasTouch: Boolean(job.touch) }),
   /** Drop files on the page, and wait until it has opened them. */
   drop: async (page, ...paths) => {
     const files = await Promise.all(paths.map(async (path) => [basename(path), (await readFile(path)).toString("base64")]));

@@ -170,6 +170,9 @@ def test_the_light_of_a_sky(run_node: RunNode, tmp_path: Path) -> None:
     sky = prt.read_environment(example("sky.hdr"))
     prt.write_image(tmp_path / "small.hdr", np.random.default_rng(0).random((5, 10, 3)).astype(np.float32))
     prt.write_image(tmp_path / "small.exr", np.random.default_rng(1).random((6, 12, 3)).astype(np.float32))
+    sun = np.full((750, 1500, 3), 0.5, np.float32)  # rows and columns that no pixel of the page's picture has alone
+    sun[200:202, 301:303] = 30000.0
+    prt.write_image(tmp_path / "sun.hdr", sun)
     site = make_site(tmp_path / "site", [tmp_path / "y.h5", tmp_path / "z.h5"], [example("sky.hdr")])
     steps = [["ready"], ["coefficients"], ["click", "#next"], ["work"], ["slide", "#turn", "30"], ["coefficients"]]
     steps += [
@@ -177,10 +180,14 @@ def test_the_light_of_a_sky(run_node: RunNode, tmp_path: Path) -> None:
         ["coefficients"],
         ["drop", str(tmp_path / "small.exr")],
         ["coefficients"],
+        ["drop", str(tmp_path / "sun.hdr")],
+        ["coefficients"],
     ]
-    found = [each for each in drive(run_node, site, steps, **BACKENDS["webgl"]) if each]
+    *found, averaged = (each for each in drive(run_node, site, steps, **BACKENDS["webgl"]) if each)
     small = [prt.read_environment(tmp_path / f"small.{kind}") for kind in ("hdr", "exr")]
     expected = [prt.project_environment(sky, 3, "y")]
     expected += [prt.rotate_light(prt.project_environment(each, 3, "z"), 30.0, "z") for each in (sky, *small)]
     for coefficients, right in zip(found, expected, strict=True):
         assert abs(np.reshape(coefficients, (-1, 3)) - right).max() < 1e-5 * abs(right).max()
+    large = prt.rotate_light(prt.project_environment(prt.read_environment(tmp_path / "sun.hdr"), 3, "z"), 30.0, "z")
+    assert abs(np.reshape(averaged, (-1, 3)) - large).max() < 2e-3 * abs(large).max()

@@ -107,7 +107,7 @@ def test_an_asset_of_one_light_and_one_of_one_view(tmp_path: Path) -> None:
 
 
 def test_our_reader_finds_the_mesh_where_it_was(tmp_path: Path) -> None:
-    for up, unit, scale in (("y", "unit", 1.0), ("z", "mm", 1e-3)):
+    for up, unit, scale in (("y", "unit", 1.0), ("z", "mm", 1e-3), ("y", "25.4 mm", 0.0254)):
         asset = dataclasses.replace(smooth_asset(), up=up, unit=unit)
         export(tmp_path, asset)
         mesh = prt.read_mesh(tmp_path / "x.glb")

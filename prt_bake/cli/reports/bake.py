@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from formats.extras import EVALUATE, require
+from prt_bake.cli.shared.ineffective import refuse_given
 from prt_bake.cli.shared.kinds import SOURCE, refuse_other_kinds
 from prt_bake.cli.shared.mesh_name import naming_mesh
 from prt_bake.cli.shared.options import Eye, Seed, View
@@ -16,6 +17,7 @@ from prt_bake.cli.shared.viewing import refuse_view_and_eye
 
 @naming_mesh
 def bake(
+    context: typer.Context,
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="model.pt (neural) or scene.toml (path traced).")],
     mesh: Annotated[Path, typer.Argument(metavar="MESH", help="Mesh to bake.")],
     scene: Annotated[
@@ -49,6 +51,8 @@ def bake(
     Writes bake.md, bake.json and bake.png: uniform Monte Carlo, Sobol, a lattice and adaptive bakes, with fitted slopes
     and efficiencies. With --scene adds path-traced bakes; with --light adds the error budget of a picture.
     """
+    if light is None:
+        refuse_given(context, ("side", "eye", "points"), "without --light")
     refuse_view_and_eye(side, eye)
     from prt_bake.baking.report.report import report_bake, report_files
 

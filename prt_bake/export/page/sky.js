@@ -1,4 +1,4 @@
-// Skies: lat-long pictures, read row by row so that one of 8k needs little more memory than its file.
+// Skies: lat-long pictures, read row by row, so that an .hdr of 8k needs little more memory than its file.
 // three.js's HDRLoader is not enough: it shows a truncated file as black rows, and needs memory for all pixels.
 const MOST_ROWS = 512; // of what is kept: phones must hold it, and its filtered copies
 
@@ -9,19 +9,29 @@ export class Failure extends Error {}
 export async function readSky(bytes) {
   const { width: columns, height: lines, rows } = bytes[0] === 0x23 ? openHdr(bytes) : await openExr(bytes);
   const height = Math.min(lines, MOST_ROWS), width = Math.min(columns, 2 * MOST_ROWS), data = new Float32Array(3 * width * height);
-  const weights = new Float32Array(width * height), columnOf = Array.from({ length: columns }, (_, i) => Math.floor((i * width) / columns));
+  const across = Array.from({ length: columns }, (_, i) => overlaps(i, columns, width)), weights = new Float64Array(height);
+  const mean = new Float64Array(3 * width);
   let number = 0;
   for (const row of rows) {
-    const first = width * Math.floor((number * height) / lines), weight = Math.sin((Math.PI * (number + 0.5)) / lines);
-    for (let i = 0; i < columns; i++) {
-      const pixel = first + columnOf[i];
-      weights[pixel] += weight;
-      for (let c = 0; c < 3; c++) data[3 * pixel + c] += weight * row[3 * i + c];
+    mean.fill(0);
+    across.forEach((parts, i) => {
+      for (const [column, share] of parts) for (let c = 0; c < 3; c++) mean[3 * column + c] += (share * width * row[3 * i + c]) / columns;
+    });
+    for (const [line, share] of overlaps(number, lines, height)) {
+      const weight = share * Math.sin((Math.PI * (number + 0.5)) / lines);
+      weights[line] += weight;
+      mean.forEach((value, i) => (data[3 * width * line + i] += weight * value));
     }
     if (++number % 128 === 0) await new Promise((done) => setTimeout(done)); // the page stays alive
   }
   if (!data.every(Number.isFinite)) throw new Failure("has pixels that are not finite; repair it, or export the page with it and --mend.");
-  return { width, height, data: data.map((sum, i) => sum / weights[Math.floor(i / 3)]) };
+  return { width, height, data: data.map((sum, i) => sum / weights[Math.floor(i / 3 / width)]) };
+}
+
+/** The cells of `coarse` ≤ `fine` equal ones that cell i of `fine` overlaps, at most two, each with its share of it. */
+function overlaps(i, fine, coarse) {
+  const cell = Math.floor((i * coarse) / fine), share = ((cell + 1) * fine - i * coarse) / coarse;
+  return share < 1 ? [[cell, share], [cell + 1, 1 - share]] : [[cell, 1]];
 }
 
 function parseExr(loader, bytes) {
@@ -36,8 +46,15 @@ async function openExr(bytes) {
   const [{ EXRLoader }, { FloatType }] = await Promise.all([import("three/addons/loaders/EXRLoader.js"), import("three")]);
   const { data, width, height } = parseExr(new EXRLoader().setDataType(FloatType), bytes.buffer), channels = data.length / width / height;
   if (channels < 3) throw new Failure("has no red, green and blue.");
-  const at = (row, i) => data[((height - 1 - row) * width + Math.floor(i / 3)) * channels + (i % 3)]; // the loader's rows go upwards
-  return { width, height, rows: Array.from({ length: height }, (_, row) => Float32Array.from({ length: 3 * width }, (_, i) => at(row, i))) };
+  return { width, height, rows: exrRows(data, width, height, channels) };
+}
+
+function* exrRows(data, width, height, channels) {
+  const row = new Float32Array(3 * width);
+  for (let y = height - 1; y >= 0; y--) { // the loader's rows go upwards
+    for (let i = 0; i < 3 * width; i++) row[i] = data[(y * width + Math.floor(i / 3)) * channels + (i % 3)];
+    yield row;
+  }
 }
 
 /** Radiance files: https://radsite.lbl.gov/radiance/refer/filefmts.pdf */

@@ -9,10 +9,11 @@ import { Failure, readSky } from "./sky.js";
 
 const $ = (id) => document.getElementById(id), number = (id) => Number($(id).value), say = window.say;
 const canvas = $("view"), query = new URLSearchParams(location.search), scene = new THREE.Scene();
-const camera = new THREE.PerspectiveCamera(30), page = (window.prtbake = { scene, frames: [], busy: () => lightChanged }); // what tests ask
+const camera = new THREE.PerspectiveCamera(), page = (window.prtbake = { scene, camera, frames: [], busy: () => lightChanged }); // what tests ask
 const lights = [{ name: "sun", polar: async (degree) => sun(degree, toSun()) }];
 const toSun = (angle = (number("height") * Math.PI) / 180) => [0, Math.cos(angle), Math.sin(angle)]; // in the polar frame
 const pressed = (id) => $(id).ariaPressed === "true";
+const TANGENT = Math.tan(Math.PI / 12); // of half the angle that the camera sees of the shorter side
 const failing = (text) => (cause) => Promise.reject(new Failure(text, { cause }));
 let renderer, controls, model, polar, objects = [], which = 0, lightChanged = false, viewChanged = false;
 let opened = 0, shown = 0; // how often something was opened, and which of these objects is shown
@@ -90,6 +91,7 @@ async function show(record, name, size, order, from) {
   shown = order;
   model?.dispose();
   scene.clear().add((model = next).mesh);
+  model.mesh.visible = false; // until it has a light
   Object.assign(page, { model, renderer, selftest: off });
   const counts = `${(faces.length / 3).toLocaleString("en")} triangles · ${(positions.length / 3).toLocaleString("en")} vertices`;
   $("name").textContent = name;
@@ -110,8 +112,8 @@ async function show(record, name, size, order, from) {
 function frameObject(direction = [0.43, 0.24, 0.87]) {
   const { geometry } = model.mesh, up = model.record.up === "z" ? [0, 0, 1] : [0, 1, 0];
   geometry.computeBoundingSphere();
-  const { center, radius } = geometry.boundingSphere, tangent = Math.tan((camera.fov * Math.PI) / 360) * Math.min(1, camera.aspect);
-  const [x, y, z] = direction, from = new THREE.Vector3(...(up[2] ? [x, -z, y] : [x, y, z])), away = (1.15 * radius) / Math.sin(Math.atan(tangent));
+  const { center, radius } = geometry.boundingSphere, away = (1.15 * radius) / Math.sin(Math.atan(TANGENT));
+  const [x, y, z] = direction, from = new THREE.Vector3(...(up[2] ? [x, -z, y] : [x, y, z]));
   camera.up.set(...up);
   camera.position.copy(center).addScaledVector(from, away);
   Object.assign(camera, { near: radius / 100, far: 100 * radius });
@@ -127,13 +129,19 @@ function frameObject(direction = [0.43, 0.24, 0.87]) {
 async function relight() {
   const light = lights[number("light")], { record } = model, fixed = record.quantity === "radiance";
   $("height-row").hidden = fixed || light.name !== "sun";
-  const found = fixed ? [1, 1, 1] : await light.polar(Math.sqrt(record.K) - 1);
+  const found = fixed ? [1, 1, 1] : await light.polar(Math.sqrt(record.K) - 1).catch((cause) => bySun(light, cause));
   const reflected = !fixed && pressed("reflection") && !$("reflection").hidden ? light : null;
   await reflected?.prepare?.();
   if (light !== lights[number("light")] || record !== model.record) return;
   model.reflect(pressed("reflection") ? reflected : null);
   [polar, lightChanged] = [found, true];
   say("");
+}
+
+/** Where a light cannot be read, choose the sun, which needs no file, and say why. */
+async function bySun(light, cause) {
+  if (light === lights[number("light")]) ($("light").value = lights.length - 1), await relight();
+  throw cause;
 }
 
 function frame() {
@@ -145,6 +153,7 @@ function frame() {
     model.setLight((page.light = turned(polar, model.record.up, number("turn"))));
     model.reflection.turn(number("turn"));
     model.reflection.toSun.value.set(x, z, y);
+    model.mesh.visible = true;
   }
   if (!lightChanged && !viewChanged) return;
   lightChanged = viewChanged = false;
@@ -159,6 +168,7 @@ function resize() {
   renderer.setPixelRatio(Math.min(2, devicePixelRatio));
   renderer.setSize(width, height, false);
   camera.aspect = width / height;
+  camera.fov = (360 / Math.PI) * Math.atan(TANGENT / Math.min(1, camera.aspect));
   camera.setViewOffset(width, height, 0, (document.querySelector("footer").offsetHeight - 40) / 2, width, height); // above the controls
   viewChanged = true;
 }
@@ -182,7 +192,8 @@ function bindControls() {
     for (const file of files) say(`Loading ${file.name} …`), await open(new Uint8Array(await file.arrayBuffer()), file.name, order);
   }));
   const toggle = (id) => ($(id).ariaPressed = !pressed(id));
-  const turnsLight = (event) => event.shiftKey || event.button === 2 || pressed("drag");
+  const turnsLight = (event) => event.isPrimary && (event.shiftKey || event.button === 2 || pressed("drag")); // two fingers zoom
+  let turning = false;
   const sizes = new ResizeObserver(resize);
   for (const part of [canvas, document.querySelector("footer")]) sizes.observe(part);
   renderer.setAnimationLoop(frame);
@@ -197,16 +208,16 @@ function bindControls() {
   document.ondragover = (event) => event.preventDefault();
   document.ondrop = (event) => (event.preventDefault(), openAll([...event.dataTransfer.files]));
   canvas.addEventListener("pointerdown", (event) => {
-    if (controls) controls.enabled = !turnsLight(event);
-    canvas.setPointerCapture(event.pointerId);
+    turning = turnsLight(event);
+    if (controls && event.isPrimary) controls.enableRotate = !turning;
   }, true);
   canvas.onpointermove = (event) => {
-    if (!controls || controls.enabled || !event.buttons) return;
+    if (!turning || !event.buttons) return;
     $("turn").value = ((number("turn") + 0.4 * event.movementX + 540) % 360) - 180;
     $("height").value = number("height") - 0.3 * event.movementY;
     attempt(relight);
   };
-  canvas.onpointerup = canvas.onpointercancel = () => controls && (controls.enabled = true);
+  canvas.onpointerup = canvas.onpointercancel = () => (turning = false);
 }
 
 page.ready = attempt(start);

@@ -144,7 +144,7 @@ def _split_table(report: dict[str, Any]) -> str:
 
 def _picture(part: dict[str, Any]) -> str:
     strip = (
-        f'<img src="data:image/png;base64,{part["png"]}" width="{3 * part["size"]}" height="{part["size"]}" '
+        f'<img src="data:image/webp;base64,{part["webp"]}" width="{3 * part["size"]}" height="{part["size"]}" '
         "alt=\"The network's picture, the path tracer's picture and the FLIP map\">"
     )
     return _section(

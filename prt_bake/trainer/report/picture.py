@@ -69,7 +69,7 @@ def picture_error(
     sun: one of SUNS. Only subsurface light is compared, at the exposure of the tables (`object_figures`). FLIP is
     measured over the complete picture and, as `on_object`, over the object's pixels. `flip` includes the reference's
     noise, `flip_without_noise` is corrected for it, `flip_of_noise` is that of the noise alone. `error` and `noise`
-    are relative to the object's radiance. `png` has the network's picture in ENLARGED times the size, the path traced
+    are relative to the object's radiance. `webp` has the network's picture in ENLARGED times the size, the path traced
     one magnified, and the FLIP map.
 
     Raises QueryError if no light reaches the camera, PrtbakeError if the extra `evaluate` is not installed.
@@ -105,7 +105,7 @@ def picture_error(
         "noise": relative_noise(reference.image, reference.standard_error, reference.coverage),
         "walks": halves.spp,
         "seconds": halves.seconds,
-        "png": _side_by_side(shown.image, reference, flip_map, stops),
+        "webp": _side_by_side(shown.image, reference, flip_map, stops),
     }
 
 
@@ -194,7 +194,7 @@ def _reduced(image: NDArray[np.float32]) -> NDArray[np.float32]:
 def _side_by_side(
     image: NDArray[np.float32], reference: TracedPicture, flip_map: NDArray[np.float32], stops: float
 ) -> str:
-    """The network's picture, the path tracer's and the FLIP map (1 is white) as a PNG in base64, all as large."""
+    """The network's picture, the path tracer's and the FLIP map (1 is white) as a WebP in base64, all as large."""
     ours, theirs = (to_srgb(part.astype(np.float64) * 2.0**stops) for part in (image, reference.image))
     parts = [
         np.rint(255.0 * np.clip(part, 0.0, 1.0)).astype(np.uint8)
@@ -206,5 +206,5 @@ def _side_by_side(
             Image.fromarray(part).resize((len(ours), len(ours)), Image.Resampling.BICUBIC), (number * len(ours), 0)
         )
     file = io.BytesIO()
-    strip.save(file, format="PNG", optimize=True)
+    strip.save(file, format="WEBP", quality=90, method=6)  # a sixth of the bytes of a PNG
     return base64.b64encode(file.getvalue()).decode("ascii")

@@ -148,6 +148,7 @@ def test_a_material_is_converted_to_scene_units(folder):
     assert (words.unit, words.content_hash) == ("cm", read.content_hash)
     thumbs = scene(folder, SCENE.replace('"cm"', '"thumb"\nunit_in_mm = 20.0'))
     np.testing.assert_allclose(thumbs.sigma_t, 2 * read.sigma_t, rtol=1e-12)
+    assert thumbs.unit == "20 mm"
 
 
 def test_an_inner_part_may_have_a_material(folder):

@@ -124,7 +124,7 @@ def test_the_command_reports_on_a_model_and_refuses_another_scene(tmp_path, capf
         assert picture_summary(picture) in read["summary"]
         assert sum(f"sun {sun_text(picture)}" in row["name"] for row in read["criteria"]) == 1
         assert f"{picture['flip']:.4f}" in page
-        assert picture["png"] in page
+        assert picture["webp"] in page
     network.metadata["scene_hash"] = "another"
     save_model(network, tmp_path / "m.pt")
     assert main(words) == 1

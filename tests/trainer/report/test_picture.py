@@ -67,7 +67,7 @@ def test_the_error_agrees_with_independent_pictures(scene, sun):
     # All of the difference is on the object, apart from FLIP's filters across its silhouette.
     share = 0.5 * coverage.mean(), 1.5 * coverage.mean()
     assert share[0] < found["flip"] / found["on_object"]["flip"] < share[1]
-    picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(found["png"]))))
+    picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(found["webp"]))))
     shown = ENLARGED * SIZE
     assert picture.shape == (shown, 3 * shown, 3)
     middle = slice(ENLARGED // 2, None, ENLARGED)
