@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import settings
 
 from formats.image import write_image
 from formats.mesh import build_mesh, write_mesh
@@ -20,6 +21,9 @@ from prt_bake.cli.shared import progress
 from prt_bake.jit import notice
 from tests import ROOT
 from tests.cli.command_line import SCENE, Outcome, Run
+
+settings.register_profile("repeatable", derandomize=True)
+settings.load_profile("repeatable")
 
 COMPILING = pytest.StashKey[subprocess.Popen[bytes]]()
 

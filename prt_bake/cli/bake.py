@@ -134,7 +134,9 @@ def bake(
     finished so far are written as a valid partial asset.
     """
     if source.suffix.lower() == ".toml":
-        refuse_given(context, ("directions", "convention", *(("lobes",) if lobes else ())), "on a scene, which is path traced")
+        refuse_given(
+            context, ("directions", "convention", *(("lobes",) if lobes else ())), "on a scene, which is path traced"
+        )
     if output is None and not dry_run:
         raise typer.BadParameter("Missing option '--output' / '-o'; only --dry-run works without it.")
     refuse_other_kinds({"SOURCE": (source, SOURCE), "MESH": (mesh, ("mesh",)), "--for-light": (for_light, ("sky",))})

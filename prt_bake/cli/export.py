@@ -152,7 +152,9 @@ def _refuse_foreign(outputs: tuple[Path, ...]) -> None:
     exported = is_exported(outputs[1] if len(outputs) > 1 else outputs[0])
     for path in outputs:
         if path.exists() and not exported:
-            raise StorageError(f"{path}: already exists, and is no export of prtbake; choose another name, or remove it")
+            raise StorageError(
+                f"{path}: already exists, and is no export of prtbake; choose another name, or remove it"
+            )
 
 
 def _to_site(assets: list[Path], folder: Path, lights: list[str], mend: bool, force: bool) -> None:

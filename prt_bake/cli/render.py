@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from formats.errors import PrtbakeError
+from prt_bake.cli.shared.ineffective import refuse_given
 from prt_bake.cli.shared.kinds import LIGHT, SOURCE, refuse_other_kinds
 from prt_bake.cli.shared.mesh_name import naming_mesh
 from prt_bake.cli.shared.options import (

@@ -16,7 +16,18 @@ from prt_bake.cli.shared.test_sets import write_olat
 
 _SUFFIXES = (".h5", ".hdf5")
 _OF_SAMPLES = ("count", "walks", "directions", "force")
-_OF_OLAT = ("views", "lights", "test_views", "test_lights", "size", "spp", "skies", "subsurface", "light_diameter", "dry_run")
+_OF_OLAT = (
+    "views",
+    "lights",
+    "test_views",
+    "test_lights",
+    "size",
+    "spp",
+    "skies",
+    "subsurface",
+    "light_diameter",
+    "dry_run",
+)
 
 
 def _olat_option(text: str, low: int = 1) -> Any:
@@ -97,7 +108,12 @@ def sample(
         refuse_other_kinds({"SCENE": (scene, ("scene",)), "--sky": (skies, ("sky",))})
         from prt_bake.olat.settings import OlatSettings
 
-        chosen: dict[str, Any] = {"views": views, "lights": lights, "test_views": test_views, "test_lights": test_lights}
+        chosen: dict[str, Any] = {
+            "views": views,
+            "lights": lights,
+            "test_views": test_views,
+            "test_lights": test_lights,
+        }
         chosen |= {"spp": spp, "light_diameter": light_diameter}
         if isinstance(size, Size):
             chosen |= {"width": size.width, "height": size.height}

@@ -10,6 +10,7 @@ import typer
 
 from formats.errors import PrtbakeError
 from formats.extras import EVALUATE, missing_sentence
+from prt_bake.cli.shared.ineffective import refuse_given
 from prt_bake.cli.shared.kinds import LIGHT, refuse_other_kinds
 from prt_bake.cli.shared.next_step import command, say_next, unused
 from prt_bake.cli.shared.options import Force, Mend, Seed, output_option

@@ -177,8 +177,8 @@ def _refuse_beyond_texture(path: Path, coefficients: Any) -> None:
     texels = vertices * (bins + 1) * math.ceil(terms * channels / 4)
     if texels > _MOST_TEXELS:
         raise QueryError(
-            f"{path}: {vertices:,} vertices of {bins} view bins are {texels / _MOST_TEXELS:.1f} times what a browser holds "
-            f"on the GPU; show a smaller form: prtbake compress {path} -o {path.with_suffix('.compact.h5')}"
+            f"{path}: {vertices:,} vertices of {bins} view bins are {texels / _MOST_TEXELS:.1f} times what a browser "
+            f"holds on the GPU; show a smaller form: prtbake compress {path} -o {path.with_suffix('.compact.h5')}"
         )
 
 
@@ -223,7 +223,8 @@ def _add_light(
             )
         if any(not _same_suns(lighting, light, each) for each in shown if each.takes_light and each.mesh is not None):
             raise QueryError(
-                f"{light}: is near the objects, which see it in different directions; export them to folders of their own"
+                f"{light}: is near the objects, which see it in different directions; export them to folders of their "
+                "own"
             )
         say(f"{name}: the page lights by harmonics: suns look softer than in `prtbake shade`")
     with tempfile.TemporaryDirectory() as folder:

@@ -54,8 +54,8 @@ def train_once(
 ) -> Artefact:
     """Return a model trained for `minutes`; resumes a stopped training.
 
-    It is the network, by default with the measured preset, or the named baseline (`prt_bake.baselines.by_name`), which may
-    learn from pictures under a `light`. Raises SceneError or QueryError for a scene that the model cannot learn, and
+    It is the network, by default with the measured preset, or the named baseline (`prt_bake.baselines.by_name`), which
+    may learn from pictures under a `light`. Raises SceneError or QueryError for a scene that the model cannot learn, and
     Stopped if a stop was requested.
     """
     from prt_bake.baselines.by_name import train_baseline

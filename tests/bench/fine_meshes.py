@@ -69,7 +69,8 @@ def one(name: str, transport: Any, mesh: Mesh, error: float, rings: int, sectors
         print(
             f"{name}, {len(mesh.positions)} vertices, {error:.1%}, {mode}: {provenance['evaluations'] / bins:.2f} "
             f"evaluations per bin, {seconds:.0f} s, "
-            f"{provenance['refinement']['vertices_interpolated'] / len(mesh.positions):.0%} interpolated, error: estimated "
+            f"{provenance['refinement']['vertices_interpolated'] / len(mesh.positions):.0%} interpolated, error: "
+            "estimated "
             f"{provenance['estimated_relative_rmse']['total']:.2%}, true {true:.2%}, 95 % of the vertices {worst:.2%}, "
             f"{within:.1%} within",
             flush=True,

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 import prt_bake as prt
+from formats.asset import read_asset
+from prt_bake.export.engine_errors import errors_by_degree
 from tests.cli.command_line import Run
 from tests.export.assets import smooth_asset
 from tests.export.glb_reader import read_glb
@@ -50,6 +52,36 @@ def test_the_error_chooses_the_degree(prtbake: Run, asset: Path, tmp_path: Path)
     assert outcome.code == 1
     assert "harmonics of the view of degree 8 leave" in outcome.err
     assert not (tmp_path / "y.glb").exists()
+
+
+def test_the_error_holds_for_rounded_numbers(prtbake: Run, asset: Path, tmp_path: Path) -> None:
+    """The least degree within it before they are rounded is not enough, and the next one is taken."""
+    exact = errors_by_degree(read_asset(asset))
+    within = 1.0001 * float(exact[3])
+    for options, degree in (((), 3), (("--quantize", "int8"), 4)):
+        assert prtbake("export", asset, "-o", tmp_path / "x.glb", "--error", within, *options).code == 0
+        stated = read_glb(tmp_path / "x.glb").extras
+        assert stated["view_degree"] == degree
+        assert stated["error"]["coefficients"] <= within
+    outcome = prtbake("export", asset, "-o", tmp_path / "y.glb", "--error", 1.0001 * min(exact), "--quantize", "int8")
+    assert outcome.code == 1
+    assert "rounded numbers leave" in outcome.err
+
+
+@pytest.mark.parametrize("name", ["x.glb", "x.exr"])
+def test_only_an_earlier_export_is_replaced(prtbake: Run, asset: Path, tmp_path: Path, name: str) -> None:
+    """A modelled mesh, or a texture, may have the name of the asset."""
+    others = ["x.glb"] if name == "x.glb" else ["x.exr", "x.json", "x.mesh.glb"]
+    for other in others:
+        textured().write(tmp_path / other) if other.endswith(".glb") else (tmp_path / other).write_text('{"mine": 1}')
+        before = (tmp_path / other).read_bytes()
+        outcome = prtbake("export", asset, "-o", tmp_path / name)
+        assert outcome.code == 1
+        assert f"{other}: already exists, and is no export of prtbake; choose another name" in outcome.err
+        assert (tmp_path / other).read_bytes() == before
+        (tmp_path / other).unlink()
+    for _ in range(2):
+        assert prtbake("export", asset, "-o", tmp_path / name).code == 0
 
 
 def test_lights_are_folded_in_together(prtbake: Run, asset: Path, tmp_path: Path) -> None:

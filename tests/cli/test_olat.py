@@ -83,10 +83,13 @@ def test_ctrl_c_keeps_the_finished_pictures(prtbake: Run, tmp_path: Path, monkey
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("sample scene.toml -o a.h5 --count 1 --views 2", "--views: is of test sets; add --olat"),
-        ("sample scene.toml -o a.h5 --count 1 --dry-run", "--dry-run: is of test sets; add --olat"),
+        ("sample scene.toml -o a.h5 --count 1 --views 2", "--views: has no effect without --olat"),
+        ("sample scene.toml -o a.h5 --count 1 --dry-run", "--dry-run: has no effect without --olat"),
         ("sample scene.toml -o a.h5", "Missing option '--count'; only --olat works without it"),
-        ("sample scene.toml -o a --olat --count 3", "--count: is of training samples"),
+        ("sample scene.toml -o a --olat --count 3", "--count: has no effect with --olat"),
+        ("sample scene.toml -o a --olat --walks 99", "--walks: has no effect with --olat"),
+        ("sample scene.toml -o a --olat --directions 7", "--directions: has no effect with --olat"),
+        ("sample scene.toml -o a --olat --force", "--force: has no effect with --olat"),
         ("compare . . --flip-map a.png", "--flip-map is for two images"),
     ],
 )

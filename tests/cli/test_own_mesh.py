@@ -32,8 +32,10 @@ def test_the_mesh_of_a_scene_is_baked(prtbake: Run, tmp_path: Path) -> None:
     assert outcome.code == 0
     assert "prtbake: bakes on the mesh sphere.ply" in outcome.err
     assert (tmp_path / "a.h5").exists()
-    over = prtbake("bake", "scene.toml", *few, "-o", "sphere.ply")
-    assert over.code != 0
+    (tmp_path / "mesh.h5").symlink_to(Path("sphere.ply").absolute())
+    over = prtbake("bake", "scene.toml", *few, "-o", tmp_path / "mesh.h5", "--force")
+    assert over.code == 1
+    assert "mesh.h5: is also the input" in over.err
 
 
 def test_the_mesh_of_a_scene_is_rendered(prtbake: Run, tmp_path: Path) -> None:
@@ -43,8 +45,10 @@ def test_the_mesh_of_a_scene_is_rendered(prtbake: Run, tmp_path: Path) -> None:
     assert prtbake("render", "scene.toml", *few, "-o", pictures[1]).code == 0
     a, b = map(read_image, pictures)
     assert np.array_equal(a, b)
-    over = prtbake("render", "scene.toml", *few, "-o", "sphere.ply")
-    assert over.code != 0
+    (tmp_path / "mesh.exr").symlink_to(Path("sphere.ply").absolute())
+    over = prtbake("render", "scene.toml", *few, "-o", tmp_path / "mesh.exr")
+    assert over.code == 1
+    assert "mesh.exr: is also the input" in over.err
 
 
 def test_the_mesh_of_a_model_is_rendered_and_learnt(prtbake: Run, moved: Path) -> None:

@@ -52,9 +52,12 @@ def test_the_picture_states_its_contents(prtbake: Run, model: Path, tmp_path: Pa
 
 @pytest.mark.parametrize("suffix", [".png", ".hdr"])
 def test_other_formats_hold_no_negative_radiance(prtbake: Run, tmp_path: Path, suffix: str) -> None:
-    output = tmp_path / f"a{suffix}"
-    assert prtbake("render", "model.pt", "sphere.ply", *COMMAND, "-o", output, "--spp", 8).code == 0
-    assert np.isfinite(read_image(output)).all()
+    output, radiance = tmp_path / f"a{suffix}", tmp_path / "a.exr"
+    for each in (output, radiance):
+        assert prtbake("render", "model.pt", "sphere.ply", *COMMAND, "-o", each, "--spp", 8).code == 0
+    below = read_image(radiance) < 0.0
+    assert below.any()
+    assert (read_image(output)[below] == 0.0).all()
 
 
 def test_errors_are_one_sentence(prtbake: Run, model: Path, tmp_path: Path) -> None:

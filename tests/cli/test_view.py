@@ -24,6 +24,7 @@ COMMAND = ["view", "asset.h5", "--light", "sky.exr"]
         ["--suns", "plain"],
         ["--suns", "window"],
         ["--tone-map", "agx", "--exposure", 2],
+        ["--light", "sun:0.3,0.2,1:4,1,1"],
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*exposure of -1 EV")

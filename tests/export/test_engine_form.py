@@ -7,7 +7,7 @@ import pytest
 import prt_bake as prt
 from formats.errors import QueryError
 from prt_bake.export import engine_form as forms
-from prt_bake.export.engine_errors import degree_for, errors_by_degree, form_error
+from prt_bake.export.engine_errors import degrees_for, errors_by_degree, form_error
 from prt_bake.export.engine_form import engine_form
 from prt_bake.export.quantization import dequantized, quantized
 from prt_bake.mathematics import sh
@@ -74,16 +74,17 @@ def test_the_error_of_radiance_is_that_of_shaded_vertices() -> None:
 def test_the_least_degree_within_an_error_is_chosen() -> None:
     asset = smooth_asset()
     errors = errors_by_degree(asset)
-    degree = degree_for(asset, 0.05)
+    degree, *_, highest = degrees_for(asset, 0.05)
     assert errors[degree] <= 0.05 < errors[degree - 1]
+    assert highest == 8
     with pytest.raises(QueryError, match=r"degree 8 leave .*, expected 1e-06 or less"):
-        degree_for(asset, 1e-6)
+        degrees_for(asset, 1e-6)
 
 
 @pytest.mark.parametrize("error", [0.0, 1.0, -0.1, float("nan")])
 def test_an_error_that_is_none_is_refused(error: float) -> None:
     with pytest.raises(QueryError, match="error: expected a number between 0 and 1"):
-        degree_for(smooth_asset(), error)
+        degrees_for(smooth_asset(), error)
 
 
 def test_an_object_that_is_turned_has_the_same_radiance() -> None:

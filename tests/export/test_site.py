@@ -1,5 +1,6 @@
 """The folder that a browser shows: its files, its lights, what it refuses, and that it is written at once."""
 
+import dataclasses
 import json
 import os
 import re
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from formats.asset import read_asset
+from formats.asset import read_asset, write_asset
 from formats.errors import FormatError, LightError, QueryError, StorageError
 from formats.image import read_image, write_image
 from prt_bake.export import site
@@ -21,6 +22,7 @@ from prt_bake.lights.lighting import read_lighting
 from prt_bake.shading.asset_light import light_for
 from prt_bake.shipped.examples import example
 from tests import ROOT
+from tests.export.assets import ball, smooth_asset
 
 OWN = {"index.html", "view.js", "vendor", "site.json"}
 
@@ -240,6 +242,37 @@ def test_the_current_folder_is_not_replaced(
     monkeypatch.chdir(tmp_path / "here")
     with pytest.raises(StorageError, match=r"is the current folder, .* name a folder in it"):
         export_site(folder / "asset.h5", ".")
+
+
+def test_what_file_managers_leave_does_not_keep_a_folder(page: Path, folder: Path, tmp_path: Path) -> None:
+    export_site(folder / "asset.h5", tmp_path / "site")
+    (tmp_path / "site" / ".DS_Store").write_text("")
+    export_site(folder / "asset.h5", tmp_path / "site", force=True)
+    assert not (tmp_path / "site" / ".DS_Store").exists()
+
+
+def test_an_asset_that_no_browser_can_hold_is_refused(
+    page: Path, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vertices, bins, terms, channels = read_asset(folder / "asset.h5", load=False).coefficients.shape
+    texels = vertices * (bins + 1) * -(-terms * channels // 4)
+    monkeypatch.setattr(site, "_MOST_TEXELS", texels - 1)
+    with pytest.raises(QueryError, match=r"on the GPU; show a smaller form: prtbake compress .*compact\.h5"):
+        export_site(folder / "asset.h5", tmp_path / "site")
+    monkeypatch.setattr(site, "_MOST_TEXELS", texels)
+    export_site(folder / "asset.h5", tmp_path / "site")
+
+
+def test_a_light_near_objects_at_different_places_is_refused(page: Path, tmp_path: Path) -> None:
+    for name, offset in (("a", 0.0), ("b", 20.0)):
+        mesh = ball(1)
+        moved = dataclasses.replace(mesh, positions=mesh.positions + np.array([offset, 0.0, 0.0]))
+        write_asset(smooth_asset(moved), tmp_path / f"{name}.h5")
+    both = [tmp_path / "a.h5", tmp_path / "b.h5"]
+    with pytest.raises(QueryError, match=r"is near the objects, which see it in different directions"):
+        export_site(both, tmp_path / "site", "sphere:10,0,0:1", say=lambda _: None)
+    export_site(both, tmp_path / "far", "sun:1,0,0", say=lambda _: None)
+    export_site(both[:1], tmp_path / "one", "sphere:10,0,0:1", say=lambda _: None)
 
 
 def test_a_large_asset_is_told_how_to_become_small(

@@ -16,6 +16,9 @@ NAME = "simulated"
 aten = torch.ops.aten
 MAY_MIX = {aten.copy_, aten._to_copy, aten.index, aten.index_put_}
 """As on a real GPU: copies go between the devices, and index tensors may be on the CPU."""
+INDEXING = {aten.index, aten.index_put_, aten.masked_select}
+"""They wait for the GPU where a mask decides how many numbers there are."""
+SIZES_FROM_VALUES = {aten._local_scalar_dense, aten.nonzero, aten.masked_select, aten._unique2}
 VIEWS = {"view", "reshape", "expand", "select", "slice", "unsqueeze", "t", "transpose", "detach", "alias", "as_strided"}
 
 
@@ -51,7 +54,8 @@ class SimulatedTensor(torch.Tensor):
             raise RuntimeError(f"{operation}: expected all tensors on one device, found some on {NAME} and some on cpu")
         if operation.overloadpacket.__name__ not in VIEWS:
             steps[operation] += 1
-        if on_cpu or operation.overloadpacket is aten._local_scalar_dense:
+        masked = operation.overloadpacket in INDEXING and any(leaf.dtype == torch.bool for leaf in tensors[1:])
+        if on_cpu or masked or operation.overloadpacket in SIZES_FROM_VALUES:
             waits[operation] += 1
         result = operation(*tree_map(_to_cpu, args), **tree_map(_to_cpu, kwargs or {}))
         if operation.overloadpacket in (aten.copy_, aten.index_put_):

@@ -19,6 +19,7 @@ from prt_bake.rendering.network_pass import NetworkTracer
 from prt_bake.rendering.passes import PassTracer
 from prt_bake.rendering.pilot import candidates, default_mixture, significantly_least
 from tests.mathematics.sampling import SphereCells
+from tests.reflection.test_reflector import albedo
 from tests.rendering.network_pictures import MESH, Lobes, Slope, assert_pictures, close_up, quadrature, small_network
 from tests.rendering.pictures import front, uneven_sky
 
@@ -313,9 +314,14 @@ class NeuralBox(Slope):
 def test_reflection_is_added_to_the_network() -> None:
     white = np.ones((4, 8, 3), np.float32)
     plain, both = (render(white, camera=front(), sampling="light", reflection=on) for on in (False, True))
-    inside = plain.coverage == 1
-    added = (both.image - plain.image)[inside].mean()
-    assert 0.01 < added < 0.2  # Fresnel's 2.8 % at eta 1.4, more towards the edge
+    inside = np.flatnonzero(plain.coverage.ravel() == 1)
+    added = (both.image - plain.image).reshape(-1, 3)[inside].mean()
+    towards = -pixel_rays(front(), inside, np.full((1, 2), 0.5)).directions.reshape(-1, 3)
+    middle = (front().eye * towards).sum(axis=1)  # along the rays, of the unit sphere
+    cosines = np.sqrt(1.0 - (front().eye ** 2).sum() + middle**2)
+    grid, cells = np.linspace(0.05, 1.0, 20), SphereCells(96, 96)
+    white_furnace = np.interp(cosines, grid, [albedo(0.3, 1.4, cosine, cells) for cosine in grid]).mean()
+    assert added == pytest.approx(white_furnace, rel=0.12)  # 512 facets in place of the sphere
     assert "reflected" in both.shows
     assert "reflected" not in plain.shows
 

@@ -24,6 +24,11 @@ class Degree2:
         return sh.evaluate(light.reshape(-1, 3), 2).reshape(*light.shape[:-1], 9) @ self._rows
 
 
+def test_a_network_of_nothing_is_all_off(tmp_path: Path) -> None:
+    errors = final_errors(Degree2(np.zeros((256, 9, 3))), make_scene(tmp_path), 256, 64)
+    assert errors.coefficients == pytest.approx(1.0, abs=0.05)
+
+
 @pytest.mark.parametrize(("queries", "known"), [(4, False), (16, True)])
 def test_few_queries_have_no_interval(tmp_path: Path, queries: int, known: bool) -> None:
     scene = make_scene(tmp_path)

@@ -6,6 +6,7 @@ import pytest
 from bakers.adaptive.view_levels import view_levels
 from bakers.adaptive.view_survey import FULL_LEVELS, ViewSurvey
 from prt_bake import bake
+from prt_bake.baking.adaptive import survey
 from prt_bake.mathematics import sphere
 from prt_bake.mathematics.random import uniforms
 from tests.bakers.transports import Array, Counting, Lobed, exact, icosphere
@@ -74,7 +75,10 @@ def test_isolated_highlights_are_found_and_reported(bins: float) -> None:
     assert off <= 2.0 * asset.provenance["estimated_relative_rmse"]["total"] + 0.005
 
 
-def test_few_bins_are_not_surveyed() -> None:
+def test_few_bins_are_not_surveyed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(survey, "ViewSurvey", None)  # a survey would call it
+    with pytest.raises(AttributeError):
+        bake(Lobed(), icosphere(1), rings=8, sectors=32, error=0.05)
     counted = Counting(Lobed())
     asset = bake(counted, icosphere(1), rings=2, sectors=8, error=0.05)
     assert asset.provenance["evaluations"] == counted.evaluations

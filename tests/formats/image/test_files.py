@@ -295,7 +295,7 @@ def test_invalid_pixels_and_shapes_are_refused(tmp_path):
     for suffix in (".png", ".hdr"):
         with pytest.raises(ImageError, match="row 0, column 0"):
             write_image(tmp_path / f"a{suffix}", nan)
-    with pytest.raises(ImageError, match="shape"):
+    with pytest.raises(ImageError, match=r"a\.exr: .*shape"):
         write_image(tmp_path / "a.exr", np.zeros((2, 2)))
     assert list(tmp_path.iterdir()) == []
 

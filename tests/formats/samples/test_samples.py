@@ -78,10 +78,11 @@ def assert_refused(path, sentence):
         read_samples(path)
     message = str(caught.value)
     assert message.startswith(f"{path}: ")
+    assert re.search(sentence, message.removeprefix(f"{path}: "))  # the folder is named after the test
     assert "\n" not in message
     faults = check_samples(path)
     assert all(fault.startswith(f"{path}: ") for fault in faults)
-    assert any(re.search(sentence, fault) for fault in faults)
+    assert any(re.search(sentence, fault.removeprefix(f"{path}: ")) for fault in faults)
 
 
 def test_a_truncated_file_is_refused(tmp_path):

@@ -135,8 +135,18 @@ def test_recorded_operations_do_not_wait_for_the_cpu(name: str) -> None:
     with torch.inference_mode():
         block = network._view_queries(positions, outgoing)
         simulated_gpu.waits.clear()
+        simulated_gpu.steps.clear()
         network._view_terms(block)
+    assert simulated_gpu.steps
     assert not simulated_gpu.waits
+
+
+@pytest.mark.parametrize("wait", ["x[x > 0]", "x.nonzero()", "x.sum().item()", "x.cpu()"])
+def test_the_simulated_gpu_notices_what_waits(wait: str) -> None:
+    x = torch.arange(3.0).to(simulated_gpu.install())
+    simulated_gpu.waits.clear()
+    eval(wait, {"x": x})
+    assert simulated_gpu.waits
 
 
 @pytest.mark.parametrize(

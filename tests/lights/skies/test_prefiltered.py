@@ -67,6 +67,16 @@ def test_radiance_is_averaged_over_the_requested_solid_angle(up) -> None:
     np.testing.assert_allclose(finest, 1 + DIRECTIONS[:, 0], atol=0.06)
 
 
+def test_noise_averages_out_over_the_solid_angle() -> None:
+    """As over so many independent pixels, or over up to six times as many where the filter is wider than the cap."""
+    noise = np.random.default_rng(9).random((64, 128, 1)).repeat(3, axis=2)
+    sky = prefilter(sky_of(noise))
+    for angle in (1e-2, 1e-1, 1.0):
+        pixels = angle / (4.0 * math.pi / (64 * 128))
+        found = radiance(sky, DIRECTIONS, np.full(len(DIRECTIONS), angle))[:, 0].std()
+        assert 0.4 < found / (noise.std() / math.sqrt(pixels)) < 0.8
+
+
 def test_the_octahedron_has_no_seams_at_its_folds() -> None:
     """A step of 1e-4 across folds, outer edges and poles changes a smooth sky little."""
     u, v = (np.arange(128) + 0.5) / 128, (np.arange(64) + 0.5)[:, None] / 64

@@ -33,6 +33,7 @@ def test_directions_with_small_gradients_are_learnt_as_fast_as_those_with_large_
     optimiser = Muon([weights], 0.05, 0.0)
     weights.grad = -torch.diag(torch.tensor([1.0, 0.1]))
     optimiser.step()
+    assert_allclose(weights.detach(), -0.05 * 0.2 * 2**0.5 * orthogonal(weights.grad), rtol=1e-5)
     assert_allclose(weights.detach().diagonal(), 0.05 * 0.2 * 2**0.5, rtol=0.35)
 
 
