@@ -50,10 +50,43 @@ def test_a_small_body_is_kept_to_a_step() -> None:
     positions, faces = sphere(2)[:2]
     (body,) = fitting_bodies([sphere(2)])
     assert (len(body.places), len(body.faces), body.eta) == (len(positions), len(faces), 1.2)
-    corners = body.places[body.faces] / STEPS
+    corners = body.positions[body.faces]
     assert np.abs(np.sort(corners.reshape(-1, 9), axis=0) - np.sort(positions[faces].reshape(-1, 9), axis=0)).max() < (
         1.0 / STEPS
     )
+
+
+def test_a_ray_that_is_guided_by_a_wall_stays_on_its_path() -> None:
+    """Between a cube of glass and a ball in it, after a dozen reflections, as between the exact meshes."""
+    ball = sphere(3, eta=1.0)
+    inner = replace(cube(0.2, eta=1.5, inner=True), attenuation=(0.2, 0.1), inner=fitting_bodies([ball]))
+    (body,) = inner.inner
+    exact = InnerBody(ball.positions * STEPS, ball.faces.astype(np.uint32), 0, 1.0, False)
+    x, towards = downwards(400)
+    found, true, coarse = (
+        path_through(UNIT, replace(inner, inner=(each,)), REFLECTING)(torch.from_numpy(x), torch.from_numpy(-towards))
+        for each in (body, exact, replace_places(exact, 65535))
+    )
+    off, off_coarse = (
+        float(((some.points - true.points).norm(dim=-1).amax(dim=1) > 1e-3).float().mean()) for some in (found, coarse)
+    )
+    assert off <= 0.005
+    assert off_coarse > 2.0 * off
+
+
+def replace_places(body: InnerBody, steps: int) -> InnerBody:
+    """The body in coarser steps."""
+    return body._replace(places=np.rint(body.positions * steps).astype(np.uint16), steps=steps)
+
+
+def test_bodies_of_earlier_models_have_coarser_steps() -> None:
+    (body,) = fitting_bodies([sphere(1)])
+    earlier = replace_places(body, 65535)
+    described = earlier.as_json()
+    del described["steps"]
+    (again,) = unpacked_bodies([described], packed_bodies((earlier,)), 1)
+    np.testing.assert_array_equal(again.places, earlier.places)
+    np.testing.assert_allclose(again.positions, body.positions, atol=1e-5)
 
 
 def test_a_large_body_is_coarser_closed_and_of_the_same_volume() -> None:
@@ -65,7 +98,7 @@ def test_a_large_body_is_coarser_closed_and_of_the_same_volume() -> None:
     assert 500 < len(body.faces) < len(faces)
     assert not edges_of(body.faces).any()
     volumes = [
-        trimesh.Trimesh(p, f, process=False).volume for p, f in ((positions, faces), (body.places / STEPS, body.faces))
+        trimesh.Trimesh(p, f, process=False).volume for p, f in ((positions, faces), (body.positions, body.faces))
     ]
     assert volumes[1] == pytest.approx(volumes[0], rel=0.02)
 
@@ -89,6 +122,7 @@ def test_bodies_are_packed_without_loss() -> None:
         ({"eta": float("nan")}, "eta of mesh 1 inside: expected above 0, at most 5, found nan"),
         ({"parent": 1}, "parent of mesh 1 inside: expected 0 to 0, found 1"),
         ({"smooth": 1}, "smooth of mesh 1 inside: expected true or false"),
+        ({"steps": 3}, "steps of mesh 1 inside: expected 65535 or 16777216, found 3"),
     ],
 )
 def test_inconsistent_bodies_are_refused(change: dict[str, float], message: str) -> None:
@@ -100,7 +134,7 @@ def test_inconsistent_bodies_are_refused(change: dict[str, float], message: str)
 
 
 def test_faces_beyond_the_vertices_are_refused() -> None:
-    body = InnerBody(np.zeros((3, 3), np.uint16), np.array([[0, 1, 3]], np.uint32), 0, 1.0, False)
+    body = InnerBody(np.zeros((3, 3), np.uint32), np.array([[0, 1, 3]], np.uint32), 0, 1.0, False)
     with pytest.raises(ModelError, match="vertex 3, expected below 3"):
         unpacked_bodies([body.as_json()], packed_bodies((body,)), 1)
 

@@ -16,7 +16,6 @@ from torch import Tensor
 
 from formats.mesh.geometry import face_normals, vertex_normals
 from prt_bake.jit.threads import in_threads
-from prt_bake.network.features.inner_bodies import STEPS
 from prt_bake.network.features.interior import Interior
 from prt_bake.network.settings import NetworkSettings
 
@@ -147,7 +146,7 @@ def path_through(outer: Body, interior: Interior, settings: NetworkSettings) -> 
     """The paths through an object of which the network has the interior."""
     bodies = [outer._replace(eta=interior.eta, attenuation=interior.attenuation[0])]
     for body, attenuation in zip(interior.inner, interior.attenuation[1:], strict=True):
-        positions, faces = body.places / STEPS, body.faces.astype(np.int64)
+        positions, faces = body.positions, body.faces.astype(np.int64)
         corners = vertex_normals(positions, faces)[0][faces] if body.smooth else None
         bodies.append(Body(positions, faces, corners, body.parent, body.eta, attenuation))
     return ViewPath(bodies, settings.ray_samples, settings.interfaces, settings.branches)
