@@ -53,7 +53,8 @@ class SkyNorm(NamedTuple):
 def sky_norm(skies: Array) -> SkyNorm:
     """The norm of radiance under skies [S,M,3] of equal power, and a share `WHITE` of light from one direction."""
     rows = np.moveaxis(skies, 2, 1).reshape(-1, skies.shape[1])
-    rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
+    rows = rows[lengths[:, 0] > 0.0] / lengths[lengths[:, 0] > 0.0]  # a channel may be black
     _, size, axes = np.linalg.svd(rows / math.sqrt(len(rows)), full_matrices=False)
     white = math.sqrt(WHITE / rows.shape[1])
     return SkyNorm(white, axes.T, np.sqrt(white**2 + (1.0 - WHITE) * size**2) - white)

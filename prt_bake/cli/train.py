@@ -1,5 +1,6 @@
 """`prtbake train`: path traces a scene and fits a model to it."""
 
+import math
 import time
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
@@ -169,7 +170,12 @@ def train(
 
             def report(row: "TrainingProgress") -> None:
                 share, left = (row.share, None) if budget is None else (budget.share, budget.left)
-                show(share, f"error {row.validation:.1%}", left, _details(row))
+                show(
+                    share,
+                    "error unknown" if math.isnan(row.validation) else f"error {row.validation:.1%}",
+                    left,
+                    _details(row),
+                )
 
             network = fitted(
                 read,

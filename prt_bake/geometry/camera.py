@@ -332,7 +332,7 @@ def _distance_to_faces(corners: Array, normals: Array) -> float:
     share = -np.einsum("fki,fki->fk", corners, edges) / length
     to_edges = np.linalg.norm(corners + np.clip(share, 0.0, 1.0)[..., None] * edges, axis=2)
     sides = np.einsum("fki,fi->fk", np.cross(corners, edges), normals)
-    over_face = (sides >= 0.0).all(axis=1)
+    over_face = (sides >= 0.0).all(axis=1) & normals.any(axis=1)  # faces without area have edges alone
     heights = np.abs(np.einsum("fi,fi->f", corners[:, 0], normals)[over_face])
     return float(min(to_edges.min(), heights.min(initial=np.inf)))
 

@@ -108,7 +108,8 @@ def distances(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
         height = np.einsum("nfi,nfi->nf", a, normal)
         # The signs show whether the foot of the perpendicular is in the face.
         sides = [np.einsum("nfi,nfi->nf", np.cross(start, end), normal) for start, end in ((a, b), (b, c), (c, a))]
-        to_faces = np.where(np.minimum.reduce(sides) >= 0.0, np.abs(height), np.inf)
+        above = (np.minimum.reduce(sides) >= 0.0) & normal.any(axis=2)  # faces without area have edges alone
+        to_faces = np.where(above, np.abs(height), np.inf)
         nearest[rows] = np.minimum.reduce([*to_edges, to_faces]).min(axis=1)
     return nearest
 
@@ -138,6 +139,7 @@ def _blocks(
 def _to_segment(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distance of the origin to segments [n,F]."""
     along = end - start
-    share = -np.einsum("nfi,nfi->nf", start, along) / np.einsum("nfi,nfi->nf", along, along)
+    squared = np.maximum(np.einsum("nfi,nfi->nf", along, along), np.finfo(np.float64).tiny)
+    share = -np.einsum("nfi,nfi->nf", start, along) / squared
     length: NDArray[np.float64] = np.linalg.norm(start + np.clip(share, 0.0, 1.0)[..., None] * along, axis=2)
     return length

@@ -122,7 +122,12 @@ def gather(
     timer = clock or Clock()
 
     def follow(done: int) -> bool:
-        timer.progress(0.3 * done / (blocks + 1), f"{done * QUERIES_PER_BLOCK:,} queries of {DIRECTIONS} directions")
+        try:
+            timer.progress(
+                0.3 * done / (blocks + 1), f"{done * QUERIES_PER_BLOCK:,} queries of {DIRECTIONS} directions"
+            )
+        except KeyboardInterrupt:  # those gathered so far give a module
+            return False
         return timer.used < GATHERING_SHARE
 
     validation = gather_targets(transport, mesh, range(VALIDATION_BLOCKS), seed)

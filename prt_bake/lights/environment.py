@@ -180,12 +180,6 @@ def check(image: NDArray[np.floating], path: str | Path) -> None:
         pass
 
 
-def check_finite(image: NDArray[np.floating], path: str | Path) -> None:
-    """Raise ImageError as `check`, but only for pixels that are not finite."""
-    if not np.isfinite(image).all():
-        raise pixels.bad_pixels_error(image_rows.rows_of(image, path), negative=True)
-
-
 def _picture(image: ArrayLike, source: str | Path = "image") -> NDArray[np.floating]:
     values = np.asarray(image)
     if values.ndim != 3 or values.shape[2] != 3 or 0 in values.shape or values.dtype.kind not in "fiu":

@@ -211,9 +211,10 @@ def _read_sky(
     # A factor of 1 is skipped, to save time on large skies.
     if not np.all(factor == 1.0):
         lit = image.any()
-        with np.errstate(over="ignore"):  # `check_finite` reports the overflow
+        with np.errstate(over="ignore", invalid="ignore"):
             image *= np.asarray(factor, np.float32)
-        environment.check_finite(image, light.path)
+        if not np.isfinite(image).all():
+            raise LightError(f"{light.path}: its exposure and tint make it brighter than numbers can be; lower them")
         if lit and not image.any():
             say(f"{light.path}: its exposure and tint make it black: it gives no light")
     return Sky(image, up, environment.rotation(light.rotate, up), residual)

@@ -135,13 +135,14 @@ def _take(
     rest: NDArray[np.float32], image: NDArray[np.float32], grid: _Grid, source: BrightSource, to_object: Array
 ) -> DirectionalLight:
     """Take the excess of a bright source out of `rest` [H,W,3], and return it as a light."""
-    irradiance, moment = np.zeros(3), np.zeros(3)
+    irradiance, moment, places = np.zeros(3), np.zeros(3), []
     for row in np.unique(source.cells // grid.grey.shape[1]):
         pixel_rows = np.flatnonzero(grid.rows == row)
         for column in source.cells[source.cells // grid.grey.shape[1] == row] % grid.grey.shape[1]:
             pixel_columns = np.flatnonzero(grid.columns == column)
             direction, solid_angle = _cell_directions(pixel_rows, pixel_columns, image.shape[:2])
             pixels = np.ix_(pixel_rows, pixel_columns)
+            places.append(pixels)
             radiance = image[pixels].astype(np.float64)
             share = min(1.0, source.level / grid.grey[row, column])
             rest[pixels] = share * np.einsum("rc,rck->k", solid_angle, radiance) / solid_angle.sum()
@@ -150,6 +151,9 @@ def _take(
             moment += np.einsum("rc,rck->k", taken.mean(axis=2), direction)
     length = float(np.linalg.norm(moment))
     mean = length / float(irradiance.mean())
+    negative = irradiance < 0.0  # of colours outside Rec.709; no light has less than none, so the sky keeps it
+    for pixels in places if negative.any() else []:
+        rest[pixels] = np.where(negative, image[pixels], rest[pixels])
     # The mean direction of a uniform disc with the cosine c at its rim has the length (1 + c) / 2.
     diameter = 2.0 * math.degrees(math.acos(min(1.0, max(-1.0, 2.0 * mean - 1.0))))
     return DirectionalLight(to_object @ moment / length, np.maximum(irradiance, 0.0), diameter)

@@ -364,7 +364,7 @@ class NetworkCore(TrainableModel):
         light = light.expand(count, *light.shape[-2:]) if light.ndim == 2 else light
         directions = light.shape[1]
         result = np.empty((count, directions, 3), dtype=np.float32)
-        columns = min(directions, ROWS_PER_BATCH)
+        columns = max(1, min(directions, ROWS_PER_BATCH))
         at_once = max(1, ROWS_PER_BATCH // max(1, columns))
         with torch.inference_mode():
             for n in range(0, count, at_once):

@@ -86,7 +86,8 @@ class OwnSurface:
 
     def bounds(self) -> Array:
         """The bounding box [2,3], to half a spacing, in scene units."""
-        inside = np.argwhere(self.interior.levels[0] > 0)
+        levels = self.interior.levels[0]
+        inside = np.argwhere(levels > (0 if levels.max() > 0 else -LEVELS))  # sheets lie between the nodes
         nodes = np.stack([inside.min(axis=0) - 0.5, inside.max(axis=0) + 0.5])
         return np.asarray(self.corner + self.side * (self.interior.corner + self.interior.spacing * nodes))
 

@@ -55,8 +55,8 @@ def train_once(
     """Return a model trained for `minutes`; resumes a stopped training.
 
     It is the network, by default with the measured preset, or the named baseline (`prt_bake.baselines.by_name`), which
-    may learn from pictures under a `light`. Raises SceneError or QueryError for a scene that the model cannot learn, and
-    Stopped if a stop was requested.
+    may learn from pictures under a `light`. Raises SceneError or QueryError for a scene that the model cannot learn,
+    and Stopped if a stop was requested.
     """
     from prt_bake.baselines.by_name import train_baseline
     from prt_bake.trainer.samples.rows import StreamSettings

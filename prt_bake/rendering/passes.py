@@ -22,6 +22,7 @@ from prt_bake.rendering.surface_reflection import SurfaceReflection
 Array = NDArray[np.float64]
 
 PIXEL_STREAM = 0x9C
+_PIXELS_AT_ONCE = 1 << 16
 _RAYS_AT_ONCE = 1 << 17
 _R2_SEQUENCE = np.array([0.7548776662466927, 0.5698402909980532])
 _MIDDLE_AND_CORNERS = np.array([[0.5, 0.5], [0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
@@ -116,11 +117,17 @@ class PassTracer:
 
     def pixels_on_object(self) -> NDArray[np.int64]:
         """Pixels whose middle and corners show the object; if there are none, pixels whose middle does."""
-        pixels = np.arange(self._camera.width * self._camera.height)
-        rays = pixel_rays(self._camera, pixels, np.broadcast_to(_MIDDLE_AND_CORNERS, (len(pixels), 5, 2)))
-        met = self._visibility.first_hits(*rays.rows()).faces.reshape(-1, 5) >= 0
+        blocks = np.array_split(
+            np.arange(count := self._camera.width * self._camera.height), -(-count // _PIXELS_AT_ONCE)
+        )
+        met = np.concatenate([self._meets(pixels) for pixels in blocks])
         covered = met.all(axis=1)
         return np.flatnonzero(covered if covered.any() else met[:, 0])
+
+    def _meets(self, pixels: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether the middle and the corners of pixels [N] show the object [N,5]."""
+        rays = pixel_rays(self._camera, pixels, np.broadcast_to(_MIDDLE_AND_CORNERS, (len(pixels), 5, 2)))
+        return self._visibility.first_hits(*rays.rows()).faces.reshape(-1, 5) >= 0
 
     def points(self, pixels: NDArray[np.int64], seed: int) -> PixelPoints:
         """The points of `pixels` [N] in the pass of `seed`."""

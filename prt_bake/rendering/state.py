@@ -5,6 +5,7 @@ of rays within a pixel.
 """
 
 import json
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -88,13 +89,14 @@ def relative_noise(
 ) -> float:
     """Root mean square of the standard error [H,W,3] over the mean radiance [H,W,3], over `object_pixels`.
 
-    0 if the object is not visible or black.
+    0 if the object is not visible or black; infinite if its mean is not positive, as of networks in the dark.
     """
     inside = object_pixels(coverage)
     noise, radiance = (np.asarray(part[inside], np.float64) for part in (standard_error, image))
     if not radiance.size or not radiance.any():
         return 0.0
-    return float(np.sqrt(np.mean(noise**2)) / np.mean(radiance))
+    mean = float(np.mean(radiance))
+    return float(np.sqrt(np.mean(noise**2))) / mean if mean > 0.0 else math.inf
 
 
 def is_black(image: NDArray[np.floating], coverage: NDArray[np.floating]) -> bool:

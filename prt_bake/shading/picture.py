@@ -6,7 +6,7 @@ A picture adds the radiance of the vertices (`vertices`), on request the light r
 
 import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -111,14 +111,34 @@ def render_picture(
     >>> picture = prt.render_picture(asset, prt.read_lighting("sky.hdr"), camera)
     >>> prt.write_image("spot.png", picture.image)
     """
-    start = time.perf_counter()
     refuse_path("asset", asset, "prt.read_asset")
     if samples < 1:
         raise QueryError(f"samples: expected at least 1 along each side of a pixel, found {samples}")
     refuse_eye_in_object(asset.mesh, camera.eye)
-    warn_of_other_eye(asset, camera.eye)
     lighting = as_lighting(light, up or asset.up, rotate)
+    start = time.perf_counter()
     prepared = prepare_light(asset, lighting, suns)
+    picture = picture_under(
+        asset, lighting, prepared, camera, samples, background, reflection, roughness, normals, layers
+    )
+    return replace(picture, seconds=time.perf_counter() - start)
+
+
+def picture_under(
+    asset: Asset,
+    lighting: Lighting,
+    prepared: AssetLight,
+    camera: Camera,
+    samples: int = 3,
+    background: bool = True,
+    reflection: bool = False,
+    roughness: float | NDArray[np.float64] | None = None,
+    normals: Normals | None = None,
+    layers: tuple[str, ...] = (),
+) -> Picture:
+    """`render_picture` under a lighting that was `prepared` for the asset, for several pictures under one light."""
+    start = time.perf_counter()
+    warn_of_other_eye(asset, camera.eye)
     visibility = Visibility(asset.mesh)
     points = find_visible_points(visibility, camera, grid_offsets(samples))
     corners = asset.mesh.faces[points.faces]

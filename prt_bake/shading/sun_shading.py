@@ -67,11 +67,11 @@ def suns_apart(lighting: Lighting, degree: int, treatment: SunTreatment = "split
     if treatment not in get_args(SunTreatment):
         raise QueryError(f"suns: expected {', '.join(map(repr, get_args(SunTreatment)))}, found {treatment!r}")
     # A constant light does not ring.
-    split = lighting if treatment == "plain" or degree == 0 else split_lighting(lighting)
+    split = lighting if degree == 0 else split_lighting(lighting)
     suns = tuple(sun for sun in split.suns if sun.angular_diameter <= WIDEST)
-    if split is lighting and (treatment == "plain" or degree == 0 or not suns):
+    if treatment == "plain" or degree == 0 or (split is lighting and not suns):
         whole = project_lighting(lighting, degree)
-        return SunsApart(whole, (), whole, 0)
+        return SunsApart(whole, (), whole, len(suns) if degree else 0)
     wide = tuple(sun for sun in split.suns if sun.angular_diameter > WIDEST)
     rest = np.zeros(((degree + 1) ** 2, 3))
     if split.skies or wide:

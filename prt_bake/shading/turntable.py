@@ -6,10 +6,11 @@ from typing import Any, Literal
 
 from formats.asset import Asset
 from formats.errors import QueryError
-from prt_bake.geometry.camera import Camera
+from prt_bake.geometry.camera import Camera, refuse_eye_in_object
 from prt_bake.lights import environment
-from prt_bake.lights.lighting import Lighting
-from prt_bake.shading.picture import Picture, render_picture
+from prt_bake.lights.lighting import Lighting, as_lighting
+from prt_bake.shading.asset_light import prepare_light
+from prt_bake.shading.picture import Picture, picture_under, render_picture
 
 
 def turntable(
@@ -30,10 +31,14 @@ def turntable(
     if frames < 1:
         raise QueryError(f"frames: expected at least 1, found {frames}")
     axis = up or asset.up
-    for number in range(frames):
-        degrees = 360.0 * number / frames
-        if turning == "light":
+    angles = [360.0 * number / frames for number in range(frames)]
+    if turning == "light":
+        for degrees in angles:
             yield render_picture(asset, lighting.turned(degrees, axis), camera, up=axis, **options)
-        else:
-            eye = camera.target + environment.rotation(degrees, axis) @ (camera.eye - camera.target)
-            yield render_picture(asset, lighting, replace(camera, eye=eye), up=axis, **options)
+        return
+    still = as_lighting(lighting, axis, options.pop("rotate", 0.0))
+    prepared = prepare_light(asset, still, options.pop("suns", "split"))
+    for degrees in angles:
+        eye = camera.target + environment.rotation(degrees, axis) @ (camera.eye - camera.target)
+        refuse_eye_in_object(asset.mesh, eye)
+        yield picture_under(asset, still, prepared, replace(camera, eye=eye), **options)

@@ -21,9 +21,15 @@ from formats.summary import summary
 from prt_bake.jit.threads import in_threads
 from prt_bake.mathematics.moments import SUMS, Moments, from_sums, merged
 from prt_bake.tracer.gpu.availability import require_walks_on
-from prt_bake.tracer.prepared import KernelQueries, PreparedScene, has_dielectric_inside, prepare, smooth_part
+from prt_bake.tracer.prepared import (
+    KernelQueries,
+    PreparedScene,
+    has_dielectric_inside,
+    prepare,
+    rough_parts,
+    smooth_part,
+)
 from prt_bake.tracer.surface.boundary import SMOOTHEST
-from prt_bake.tracer.surface.interface import ROUGH
 from prt_bake.tracer.volume.media import PHASE_G
 
 Array = NDArray[np.float64]
@@ -223,16 +229,18 @@ def _sum_on_gpu(
 
 
 def _sharpness(scene: Scene, prepared: PreparedScene) -> float:
-    """Peak of a single connection relative to an isotropic one: of the phase function for straight connections, of the
-    interface's lobe, averaged over a texture, for connections through a rough boundary.
+    """Peak of a single connection relative to an isotropic one: of the phase function, of the lobe of a rough boundary,
+    averaged over a texture, or of rough interfaces inside, whichever is largest.
 
     Light that a dielectric inside refracts cannot be connected to and is `_REFRACTED_INSIDE` times as rare.
     """
-    if prepared.kind == ROUGH:
-        lobes = float(np.mean(np.maximum(scene.roughness, SMOOTHEST) ** -2.0))
-        return max(1.0, lobes) * (_REFRACTED_INSIDE if has_dielectric_inside(scene) else 1.0)
     g = float(np.abs(prepared.medium.regions[:, PHASE_G]).max())
-    return (1.0 + g) / (1.0 - g) ** 2
+    phase = (1.0 + g) / (1.0 - g) ** 2
+    rough = rough_parts(scene)
+    if not rough:
+        return phase
+    lobes = max(float(np.mean(np.maximum(part.roughness, SMOOTHEST) ** -2.0)) for part in rough)
+    return max(1.0, phase, lobes * (_REFRACTED_INSIDE if has_dielectric_inside(scene) else 1.0))
 
 
 def _directions(rows: ArrayLike, name: str) -> Array:

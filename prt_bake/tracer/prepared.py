@@ -171,6 +171,16 @@ def has_dielectric_inside(scene: Scene) -> bool:
     )
 
 
+def rough_parts(scene: Scene) -> list[Part]:
+    """The parts with a rough interface, through which connections are lobes."""
+    outside = [1.0, *(scene.parts[part.parent].eta for part in scene.parts[1:])]
+    return [
+        part
+        for part, eta in zip(scene.parts, outside, strict=True)
+        if part.diffuse is None and _kind(part, eta) == ROUGH
+    ]
+
+
 def _mean_alpha(part: Part) -> float:
     return float(np.mean(part.roughness))
 

@@ -1,5 +1,6 @@
 """What a training fits: the neural BSSRDF, or another model that brings its own learner."""
 
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -66,6 +67,8 @@ class NetworkFit:
         self._settings = settings
         self.earlier_low: LowBands | None = None
         """The low bands of the network to start from, if those of `model` have the same inputs."""
+        self.earlier_correction: LowBands | None = None
+        """The correction of the network to start from, if all that it sees stays."""
         self.resume_settings = {
             **{f"network {name}": value for name, value in settings.as_json().items()},
             "interior": "" if self._interior is None else self._interior.content_hash,
@@ -84,6 +87,8 @@ class NetworkFit:
             start_from(network, self._start)
             low = earlier_low_bands(network.settings, self._start)
             self.earlier_low = None if low is None else low.to(self._device)
+            if self._only_low_bands and self._start.correction is not None and same_inputs(network, self._start):
+                self.earlier_correction = deepcopy(self._start.correction).to(self._device)
         return network
 
     def learner(self, model: TrainableModel, learning: LearningSettings) -> Learner:
@@ -96,6 +101,13 @@ class NetworkFit:
 
         assert isinstance(model, NeuralBSSRDF)
         return GpuLearner(model, learning)
+
+
+def same_inputs(network: NeuralBSSRDF, start: NeuralBSSRDF) -> bool:
+    """Whether all layers but the low bands and the correction see the same."""
+    others = ("low_width", "low_layers", "correction_width", "seed")
+    now, before = network.settings.as_json(), start.settings.as_json()
+    return all(now[name] == before[name] for name in now if name not in others)
 
 
 def settings_for(settings: NetworkSettings, scene: Scene) -> NetworkSettings:

@@ -1,6 +1,5 @@
 """Checkpoints of training runs: `NAME.train.pt` beside the model, made of tensors and plain values only."""
 
-import io
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -24,10 +23,8 @@ def write_state(output: str | Path, state: dict[str, Any]) -> None:
     """Write the checkpoint atomically; `state` has the hash of the `scene` and the fixed settings as `begun`."""
     import torch
 
-    content = io.BytesIO()
-    torch.save({"version": _VERSION, **state}, content)
     with replacing(state_path(output)) as part:
-        part.write_bytes(content.getvalue())
+        torch.save({"version": _VERSION, **state}, part)
 
 
 def seconds_of(output: str | Path) -> float:
@@ -35,7 +32,7 @@ def seconds_of(output: str | Path) -> float:
     import torch
 
     with suppress(Exception):
-        state = torch.load(state_path(output), map_location="cpu", weights_only=True)
+        state = torch.load(state_path(output), map_location="cpu", weights_only=True, mmap=True)
         return float(state.get("spent", state["seconds"]))
     return 0.0
 

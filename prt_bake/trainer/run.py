@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from prt_bake.network.bssrdf import save_model
+from prt_bake.network.low_bands import LowBands
 from prt_bake.network.model import TrainableModel
 from prt_bake.trainer.budget import Budget
 from prt_bake.trainer.cores import available_cores
@@ -46,13 +47,25 @@ class Request(NamedTuple):
 class Run:
     """One training run: its data, its learner and its progress."""
 
-    def __init__(self, data: TrainingData, fit: Fit, learning: LearningSettings, seed: int, request: Request) -> None:
-        """Trace the validation queries, and make the model and its learner."""
+    def __init__(
+        self,
+        data: TrainingData,
+        fit: Fit,
+        learning: LearningSettings,
+        seed: int,
+        request: Request,
+        resume: bool = False,
+    ) -> None:
+        """Trace the validation queries, make the model and its learner, and with `resume` continue from the checkpoint
+        beside the output.
+        """
         self.data, self.learning, self.seed, self.scene = data, learning, seed, data.scene
         self.steps, self.budget, self.output, self.progress, self.part, self.stop = request
         budget, part = self.budget, self.part
         self.resume_settings = {**fit.resume_settings, "seed": seed, "muon": learning.muon, **data.resume_settings}
         self.synchronous = bool(self.resume_settings["synchronous"])
+        assert request.output is not None or not resume
+        state = read_state(str(request.output), data.scene.content_hash, self.resume_settings) if resume else None
         self.reference = data.reference(
             learning, math.inf if budget is None else budget.validation, partial(part, "validation queries")
         )
@@ -60,7 +73,11 @@ class Run:
         self.low = getattr(model, "low", None)
         """The low bands before they are fitted, which the model lacks until then."""
         self.earlier_low = getattr(fit, "earlier_low", None)
-        """The low bands of the network to start from, which stay if they have less error."""
+        """Low bands of the network to start from, or of the run that is resumed, which stay if they have less error."""
+        self.earlier_correction = getattr(fit, "earlier_correction", None)
+        """The correction of the values that belongs to them."""
+        self.fitted_low: LowBands | None = None
+        """The low bands that were fitted last, for a run that is resumed."""
         self.low_seconds = 0.0
         if self.low is not None:
             model.set_low_bands(None)
@@ -75,17 +92,19 @@ class Run:
         self.traced_state: dict[str, Any] | None = None
         self.source_state: dict[str, int] | None = None
         self.history: list[TrainingProgress] = []
+        if state is not None:
+            self._restore(state)
 
-    def restore(self) -> None:
-        """Continue from the checkpoint beside the output."""
-        assert self.output is not None
-        state = read_state(self.output, self.scene.content_hash, self.resume_settings)
+    def _restore(self, state: dict[str, Any]) -> None:
         for network in (self.learner.network, self.learner.model):
             network.output_scale = float(state["output_scale"])
         self.learner.restore(state["learner"])
         self.generator.bit_generator.state = json.loads(state["generator"])
         self.seconds, self.source_state = float(state["seconds"]), dict(state["source"])
         self.traced_state = state["queries"]
+        if self.low is not None and state.get("low") is not None:
+            self.earlier_low, self.earlier_correction = deepcopy(self.low), None
+            self.earlier_low.load_state_dict(state["low"])
         self.history = [TrainingProgress(**report) for report in state["history"]]
 
     def nothing_left(self) -> bool:
@@ -105,6 +124,7 @@ class Run:
             "generator": json.dumps(self.generator.bit_generator.state, allow_nan=False),
             "source": self.source.state(),
             "queries": self.source.traced.state() if self.low is not None and self.source.traced is not None else None,
+            "low": None if self.fitted_low is None else self.fitted_low.state_dict(),
             "seconds": self.seconds,
             **({} if self.budget is None else {"spent": self.budget.spent}),
             "history": [asdict(report) for report in self.history],
@@ -115,7 +135,8 @@ class Run:
         device = self.learner.network.box_min.device.type
         self.source = self.data.source(self.learning, self.learner.network, self.source_state)
         if self.traced_state is not None and self.source.traced is not None:
-            self.source.traced.restore(self.traced_state, self.learner.network.box_min.device)
+            where = self.learner.network.box_min.device if self.data.on_gpu else "cpu"
+            self.source.traced.restore(self.traced_state, where)
         threads_before = torch.get_num_threads()
         threads = self.data.learner_threads(self.learning, device)
         prefetching = 0 if self.synchronous or device != "cpu" else threads
@@ -205,7 +226,11 @@ class Run:
         """
         assert self.source is not None
         self.save()  # the rest takes long and may be interrupted
-        network = self._with_low_bands(self.learner.result())
+        network = self.learner.result()
+        try:
+            network = self._with_low_bands(network)
+        except KeyboardInterrupt:
+            self.stopped = True
         seconds, walks = self.seconds + self.low_seconds, self.source.statistics().walks
         errors = [[report.seconds, report.walks, report.validation] for report in every_tenth(self.history)]
         if self.low_seconds > 0.0:
@@ -222,14 +247,18 @@ class Run:
             "validation_vs_time": errors,
             "validation_of": self.reference.quantity,
         }
-        network.metadata["training"] = training
+        network.metadata["training"] = training | {"stopped": True}
+        if self.output is not None and not self.stopped:
+            save_model(network, self.output)  # its errors take a while
         try:
             training |= {} if self.stopped else self._errors(network)
         except KeyboardInterrupt:
             self.stopped = True
-        training["stopped"] = self.stopped
+        network.metadata["training"] = training | {"stopped": self.stopped}
         if self.output is not None:
             save_model(network, self.output)
+            if not self.stopped:
+                write_state(self.output, self.state())  # with all of the time that was spent
         return network
 
     def _with_low_bands(self, network: Any) -> TrainableModel:
@@ -243,11 +272,14 @@ class Run:
         fitted, before = deepcopy(network), deepcopy(network)
         fitted.set_low_bands(self.low)
         before.set_low_bands(deepcopy(self.earlier_low))
+        if self.earlier_correction is not None:
+            before.set_correction(deepcopy(self.earlier_correction))
         try:
             self._fit_low_bands(fitted)
         except KeyboardInterrupt:
             self.stopped = True
-        chosen: Any = min((network, before.rounded(), fitted.rounded()), key=self.reference.relative_rmse)
+        chosen: Any = min((fitted.rounded(), before.rounded(), network), key=self._error)  # the first of equal ones
+        self.fitted_low = chosen.low if chosen.low is not None and chosen.settings == fitted.settings else None
         try:
             self._fit_correction(chosen)
         except KeyboardInterrupt:
@@ -255,13 +287,18 @@ class Run:
         rounded: TrainableModel = chosen.rounded()
         return rounded
 
+    def _error(self, network: Any) -> float:
+        """The validation error, infinite if it is unknown."""
+        error = self.reference.relative_rmse(network)
+        return math.inf if math.isnan(error) else error
+
     def _fit_low_bands(self, network: Any) -> None:
         """Fit the network's low bands to all queries."""
         self._fit(partial(low_bands.fit_low_bands, network), low_bands.STEPS_A_STEP, 0.0, _LOW_BANDS)
 
     def _fit_correction(self, network: Any) -> None:
-        """Correct the values of a network by its low bands, if it has any."""
-        if network.low is not None:
+        """Correct the values of a network by its low bands, if it has any, and no correction yet."""
+        if network.low is not None and network.correction is None:
             self._fit(partial(correction.fit_correction, network), correction.STEPS_A_STEP, _LOW_BANDS, 1.0)
 
     def _fit(self, fit: Callable[..., None], steps_a_step: int, begin: float, end: float) -> None:

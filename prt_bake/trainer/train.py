@@ -5,15 +5,17 @@ light it is estimated from exits of walks (`objective.py`). The optimisers are M
 averaged weights. Matrix products are in bfloat16 if the device is faster in it.
 """
 
+import math
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from formats.atomic import refuse_unwritable
 from formats.errors import QueryError, refuse_path
 from formats.scene import Scene
-from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF
+from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF, load_model
 from prt_bake.network.checkpoint import refuse_other_suffix
 from prt_bake.network.file_names import state_path
 from prt_bake.network.model import TrainableModel
@@ -167,8 +169,8 @@ def train_model(
     although the learner waits.
     """
     refuse_path("scene", scene, "prt.load_scene")
-    if minutes <= 0 or (steps is not None and steps < 1):
-        raise QueryError(f"train: minutes and steps must be positive, found {minutes:g} and {steps}")
+    if not 0 < minutes < math.inf or (steps is not None and steps < 1):
+        raise QueryError(f"train: minutes and steps must be positive and finite, found {minutes:g} and {steps}")
     if synchronous and steps is None:
         raise QueryError("train: synchronous needs steps: the number of steps in a time varies from run to run")
     if output is not None:
@@ -201,14 +203,23 @@ def train_model(
                 walks = max(renderer.exits, _MANY_WALKS)
                 renderer = replace(renderer, exits=walks, least_exits=walks)
             data = PathTracedData(scene, renderer, seed, synchronous, walking)
-        run = Run(data, make(data, chosen), learning or learning_for(data, started), seed, request)
-        if resume:
-            run.restore()
-            if run.nothing_left():
-                report(
-                    f"{output}: nothing is left to learn: it already had {run.learner.step} steps in "
-                    f"{run.seconds / 60.0:.3g} minutes of learning, which the requested length includes; request more"
-                )
+        run = Run(data, make(data, chosen), learning or learning_for(data, started), seed, request, resume)
+        if resume and run.nothing_left():
+            report(
+                f"{output}: nothing is left to learn: it already had {run.learner.step} steps in "
+                f"{run.seconds / 60.0:.3g} minutes of learning, which the requested length includes; request more"
+            )
+            if (finished := _finished(output, scene)) is not None:
+                return finished
         report(f"learning; the validation error is that of {QUANTITIES[run.reference.quantity]}")
         run.learn()
         return run.finish()
+
+
+def _finished(output: str | Path | None, scene: Scene) -> TrainableModel | None:
+    """The model of a finished run; None if its last training was stopped, or it is missing."""
+    if output is None or not Path(output).is_file():
+        return None
+    model: Any = load_model(output)
+    finished: TrainableModel = model.on(scene.mesh)
+    return None if model.metadata.get("training", {}).get("stopped", True) else finished

@@ -223,10 +223,14 @@ def network_coefficients(network: Any, positions: Array, outgoing: Array, direct
 
 
 def noise_free_ratio(predicted: ArrayLike, mean: Array, error: Array) -> float:
-    """The relative RMSE of `predicted` against a noisy reference, whose variance is subtracted from both sums."""
+    """The relative RMSE of `predicted` against a noisy reference, whose variance is subtracted from both sums.
+
+    NaN if the reference is dark: nothing is left beside its noise.
+    """
     noise = float(np.sum(error**2))
     difference = float(np.sum((np.asarray(predicted, np.float64) - mean) ** 2)) - noise
-    return float(np.sqrt(max(0.0, difference) / max(float(np.sum(mean**2)) - noise, 1e-300)))
+    light = float(np.sum(mean**2)) - noise
+    return float(np.sqrt(max(0.0, difference) / light)) if light > 0.0 else math.nan
 
 
 @dataclass(frozen=True)

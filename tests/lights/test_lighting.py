@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from formats.errors import ImageError, LightError, QueryError, StorageError
+from formats.errors import LightError, QueryError, StorageError
 from formats.image import write_image
 from formats.scene.lights import DirectionalLight
 from prt_bake.lights import environment
@@ -257,7 +257,7 @@ def test_invalid_lights_are_refused(tmp_path: Path) -> None:
         read_lighting(["sun:0,0,0"])
     write_image(tmp_path / "sky.exr", np.full((4, 8, 3), 1e30, np.float32))
     (tmp_path / "a.toml").write_text('[[sky]]\nfile = "sky.exr"\nexposure = 60\n')
-    with pytest.raises(ImageError, match=r"a\.toml: sky\.file: .*sky\.exr"):
+    with pytest.raises(LightError, match=r"a\.toml: sky\.file: .*sky\.exr: its exposure and tint make it brighter"):
         read_lighting([tmp_path / "a.toml"])
     (tmp_path / "a.toml").write_text('[[sky]]\nfile = "sky.exr"\nexposure = -64\ntint = [0, 0, 1e-30]\n')
     write_image(tmp_path / "sky.exr", np.full((4, 8, 3), 1e-4, np.float32))

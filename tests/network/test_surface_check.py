@@ -1,5 +1,8 @@
 """A network is only evaluated on the surface that it was trained on; other meshes are refused, with their cause."""
 
+import copy
+import dataclasses
+
 import numpy as np
 import pytest
 import trimesh
@@ -42,6 +45,18 @@ def simplified(mesh: Mesh) -> Mesh:
 @pytest.mark.parametrize("variant", [lambda mesh: mesh, subdivided, simplified, piece])
 def test_meshes_of_the_same_surface_pass(network, spot, variant):
     network.refuse_foreign(variant(spot))
+
+
+def test_a_sheet_between_the_nodes_of_the_grid_has_bounds(network: NeuralBSSRDF) -> None:
+    """Of an object so thin that no node lies inside, other meshes are refused in words."""
+    interior = network.view.interior
+    levels = np.minimum(interior.levels, 0)
+    sheet = copy.copy(network.view)
+    sheet.interior = dataclasses.replace(interior, levels=levels)
+    thin = copy.copy(network)
+    thin._modules = {**network._modules, "view": sheet}
+    with pytest.raises(QueryError, match="vertices are not on the surface"):
+        thin.refuse_foreign(build_mesh(np.eye(3) * 40.0, [[0, 1, 2]]))
 
 
 MIDDLE = np.array([0.0, 0.12, 0.19])

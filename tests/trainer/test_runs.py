@@ -263,7 +263,18 @@ def test_the_model_is_saved_before_it_is_measured(scene, tmp_path, monkeypatch):
     with pytest.raises(Killed):
         train_small(scene, 9, output=output)
     assert torch.load(state_path(output), weights_only=True)["learner"]["step"] == 9
-    load_model(output)
+    assert load_model(output).metadata["training"]["stopped"]
+
+
+def test_a_finished_run_without_anything_left_keeps_its_model(scene, tmp_path):
+    """Low bands and errors of another, shorter time would be worse."""
+    output = tmp_path / "m.pt"
+    train_small(scene, 9, output=output)
+    before = output.read_bytes()
+    again = train_small(scene, 9, output=output, resume=True)
+    assert output.read_bytes() == before
+    assert again.metadata["training"]["steps"] == 9
+    assert again.surface is not None or not again.settings.tells_normal
 
 
 def test_resuming_a_finished_run_says_that_nothing_is_left(scene, tmp_path):

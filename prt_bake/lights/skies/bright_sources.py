@@ -37,7 +37,7 @@ def find_bright_sources(
     for peak in candidates[np.argsort(-grid.values[candidates], kind="stable")].tolist():
         if peak in taken or not grid.is_peak(peak):
             continue
-        cells, level = _flood(grid, peak, max_spread)
+        cells, level = _flood(grid, peak, max_spread, taken)
         excess = float(((grid.values[cells] - level) * grid.solid_angle[cells]).sum())
         if excess >= min_excess:
             sources.append(BrightSource(np.sort(cells), level, excess))
@@ -69,15 +69,16 @@ class _Grid:
         return cells
 
 
-def _flood(grid: _Grid, peak: int, max_spread: float) -> tuple[NDArray[np.int64], float]:
+def _flood(grid: _Grid, peak: int, max_spread: float, taken: set[int]) -> tuple[NDArray[np.int64], float]:
     """The cells around a peak above the level at which they spread too far, and that level.
 
-    If they never spread too far, the level is the least value of the grid.
+    Cells that are `taken` by another source are left out. If they never spread too far, the level is the least value of
+    the grid.
     """
     level = float(grid.values[peak])
     cells: list[int] = []
     above = 0  # number of cells above the level
-    visited, rim = {peak}, [(-level, peak)]
+    visited, rim = {peak, *taken}, [(-level, peak)]
     moment, area = np.zeros(3), 0.0
     while rim:
         negative, cell = heapq.heappop(rim)

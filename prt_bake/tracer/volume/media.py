@@ -115,9 +115,10 @@ def is_heterogeneous(media: Any) -> bool:
 @inlined_function()
 def phase(cosine: Any, g: Any) -> Any:
     """Henyey–Greenstein phase function per solid angle; `cosine` is between the directions of flight."""
-    g2 = g * g
-    root = max(1.0 + g2 - 2.0 * g * cosine, 1e-300)
-    return (1.0 - g2) / (4.0 * math.pi * root * math.sqrt(root))
+    size = abs(g)
+    apart = 1.0 - cosine if g > 0.0 else 1.0 + cosine
+    root = max((1.0 - size) * (1.0 - size) + 2.0 * size * apart, 1e-200)  # 1 + g² − 2 g cosθ without cancellation
+    return (1.0 - size) * (1.0 + size) / (4.0 * math.pi * root * math.sqrt(root))
 
 
 @inlined_function()

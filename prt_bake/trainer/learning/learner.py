@@ -216,13 +216,12 @@ class Learner:
         return nullcontext()
 
     def state(self) -> dict[str, Any]:
-        """The state that `restore` reads: weights, their average, the optimiser's moments, step and precision."""
+        """The state that `restore` reads: weights, their average, the optimiser's moments, and the step."""
         return {
             "network": self.network.state_dict(),
             "average": self.model.state_dict(),
             "optimizers": [optimizer.state_dict() for optimizer in self.optimizers],
             "step": self.step,
-            "bfloat16": self.bfloat16,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -235,7 +234,6 @@ class Learner:
             # A run on a GPU keeps its rate there.
             group.update(lr=self.settings.rate, capturable=False, foreach=None)
         self.step = int(state["step"])
-        self.bfloat16 = bool(state["bfloat16"])
 
     def _optimizers(self) -> list[torch.optim.Optimizer]:
         """The optimisers of all weights."""

@@ -24,7 +24,7 @@ def bfloat16_is_faster(device_type: str) -> bool:
     device_type: "cpu" is measured once, in 0.1 s. "cuda" counts as faster if the GPU supports bfloat16.
     """
     if device_type != "cpu":
-        return bool(torch.cuda.is_bf16_supported())
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     return _speedup() > _LEAST_SPEEDUP
 
 

@@ -82,7 +82,7 @@ class QuerySource:
         mesh = self._mesh
         faces = self._faces(u[:, 0])
         barycentric = _in_triangle(u[:, 1], u[:, 2])
-        normals = np.array(mesh.face_normals)[faces]
+        normals = np.asarray(mesh.face_normals)[faces]
         positions = _interpolate(mesh.positions, mesh.faces, faces, barycentric)
         on_edge = u[:, 3] < self._edge_share
         moved = _to_edge(barycentric[on_edge], u[on_edge, 3] < 0.5 * self._edge_share)

@@ -60,7 +60,8 @@ class TracedQueries:
         """All queries that are kept; None if there are none."""
         with self._lock:
             if len(self._blocks) > 1:
-                self._blocks = [Traced._make(torch.cat(parts) for parts in zip(*self._blocks, strict=True))]
+                joined = (torch.cat(parts)[-self._capacity :] for parts in zip(*self._blocks, strict=True))
+                self._blocks = [Traced._make(joined)]
             return self._blocks[0] if self._blocks else None
 
     def state(self) -> dict[str, Any]:

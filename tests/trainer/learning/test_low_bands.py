@@ -14,6 +14,7 @@ from formats.errors import ModelError, QueryError
 from formats.scene import Scene
 from prt_bake.mathematics import sh
 from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF, load_model
+from prt_bake.network.file_names import state_path
 from prt_bake.trainer import run as run_module
 from prt_bake.trainer.learning import correction, low_bands
 from prt_bake.trainer.learning.learner import LearningSettings
@@ -224,6 +225,21 @@ def test_a_killed_run_resumes_to_the_same_low_bands(scene: Scene, tmp_path: Path
         assert torch.equal(weights, resumed.get_parameter(key)), key
 
 
+def test_a_resumed_run_does_not_lose_its_low_bands(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """If the time that is left is too short for better ones, as those of a run by minutes may be."""
+    output = tmp_path / "m.pt"
+    first = trained(scene, 40, output=output)
+    assert first.low is not None
+    before = torch.load(state_path(output), weights_only=True)
+    assert before["low"] is not None
+    monkeypatch.setattr(Run, "_fit_low_bands", lambda run, made: made.low.output.weight.data.fill_(9.0))
+    again = trained(scene, 41, output=output, resume=True)
+    assert again.low is not None
+    assert torch.equal(again.low.output.weight, first.low.output.weight)
+
+
 @pytest.mark.parametrize("best", ["fitted", "earlier", "none"])
 def test_a_run_keeps_the_best(best: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def fit(run: Any, made: Any) -> None:
@@ -240,6 +256,7 @@ def test_a_run_keeps_the_best(best: str, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(Run, "_fit_correction", correct)
     run: Any = object.__new__(Run)
     run.low, run.earlier_low, run.stopped = network().low, network(replace(SETTINGS, low_layers=4)).low, False
+    run.earlier_correction = None
     run.reference = SimpleNamespace(relative_rmse=lambda made: 0.1 if kind(made) == best else 0.2)
     plain = network(replace(SETTINGS, low_width=0))
     found = run._with_low_bands(plain)
@@ -252,7 +269,7 @@ def test_a_run_keeps_the_best(best: str, monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_low_bands_that_are_not_finite_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     run: Any = object.__new__(Run)
-    run.low, run.earlier_low, run.stopped = network().low, None, True
+    run.low, run.earlier_low, run.earlier_correction, run.stopped = network().low, None, None, True
     run.reference = SimpleNamespace(relative_rmse=lambda made: 0.5 if made.low is None else float("nan"))
     run.source = SimpleNamespace(traced=None)
     assert run._with_low_bands(network(replace(SETTINGS, low_width=0))).low is None
