@@ -184,7 +184,7 @@ def picture_under(
         _ratio(float((errors**2).sum()), signal),
         made,
         reflecting,
-        prepared.found,
+        0 if prepared.treatment == "plain" else prepared.found,
         _errors(
             asset,
             view_error(asset, light_weights, outgoing, shares, shading.radiance, sigma),

@@ -91,6 +91,17 @@ def test_the_norm_of_skies_is_that_of_their_covariance_and_is_inverted() -> None
     np.testing.assert_allclose(norm.restore(norm.weigh(rows)), rows, atol=1e-9)
 
 
+def test_a_black_channel_of_a_sky_says_nothing() -> None:
+    random = np.random.default_rng(4)
+    skies, rows = random.exponential(size=(2, 64, 3)), random.normal(size=(5, 64))
+    skies[1, :, 2] = 0.0
+    others = np.delete(np.moveaxis(skies, 2, 1).reshape(-1, 64), 5, axis=0)
+    units = others / np.linalg.norm(others, axis=1, keepdims=True)
+    covariance = 0.9 * units.T @ units / len(units) + 0.1 / 64 * np.eye(64)
+    weighed = sky_norm(skies).weigh(rows)
+    np.testing.assert_allclose((weighed**2).sum(axis=1), ((rows @ covariance) * rows).sum(axis=1), rtol=1e-9)
+
+
 def test_wavelets_are_orthonormal_and_their_largest_represent_a_block() -> None:
     values = np.random.default_rng(5).normal(size=(3, 256, 3))
     np.testing.assert_allclose(inverse_haar(haar(values)), values, atol=1e-12)

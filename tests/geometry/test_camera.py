@@ -8,6 +8,7 @@ import pytest
 from formats.errors import QueryError
 from formats.mesh import Mesh, build_mesh
 from prt_bake.geometry.camera import Camera, Visibility, directions, fit, pixel_rays, rays, refuse_eye_in_object
+from prt_bake.geometry.nesting import distances
 from prt_bake.lights.environment import rotation
 from tests.shapes import ball, ring
 
@@ -179,6 +180,15 @@ def test_eye_on_the_surface_is_refused():
     collapsed = np.concatenate([mesh.faces, [[5, 5, 5], [1, 1, 2]]])
     with pytest.raises(QueryError, match="on the surface"):
         refuse_eye_in_object(Mesh(mesh.positions, collapsed, mesh.normals), triangle[0])
+
+
+def test_a_face_without_area_is_not_below_every_eye():
+    mesh = ring()
+    collapsed = Mesh(mesh.positions, np.concatenate([mesh.faces, [[1, 1, 2]]]), mesh.normals)
+    eye = np.array([0.0, 0.0, 0.0])
+    refuse_eye_in_object(mesh, eye)
+    refuse_eye_in_object(collapsed, eye)
+    np.testing.assert_allclose(distances(collapsed, eye[None]), distances(mesh, eye[None]))
 
 
 def test_eye_in_line_with_an_edge_is_accepted():

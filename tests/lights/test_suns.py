@@ -87,6 +87,33 @@ def test_suns_and_rest_sum_to_the_energy_of_the_sky_in_every_channel(shape: tupl
     assert sum(found.shares) == pytest.approx(1.0 - energy(found.rest.image).mean() / energy(image).mean(), rel=1e-5)
 
 
+def test_no_cell_belongs_to_two_sources() -> None:
+    """A glow with texture, as of a sun through leaves: floods of neighbouring peaks meet."""
+    rows, columns = 64, 128
+    theta, phi = np.pi * (np.arange(rows)[:, None] + 0.5) / rows, 2.0 * np.pi * (np.arange(columns) + 0.5) / columns
+    axes = np.stack(np.broadcast_arrays(np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)), -1)
+    edges = np.cos(np.pi * np.arange(rows + 1) / rows)
+    solid_angle = np.repeat((edges[:-1] - edges[1:])[:, None] * 2.0 * np.pi / columns, columns, axis=1)
+    y, x = np.mgrid[0:rows, 0:columns]
+    for seed, noise, spread in ((31, 0.3, 0.005), (31, 0.5, 0.005), (29, 0.8, 0.002), (44, 0.8, 0.005)):
+        glow = np.exp(-((y - 0.4 * rows) ** 2 + (x - 0.5 * columns) ** 2) / (2 * (2 + seed % 4) ** 2))
+        values = (0.5 + 1e3 * glow) * np.exp(noise * np.random.default_rng(seed).normal(size=(rows, columns)))
+        sources = find_bright_sources(values, solid_angle, axes, spread, 1e-3 * (values * solid_angle).sum())
+        cells = np.concatenate([source.cells for source in sources])
+        assert len(sources) > 1
+        assert len(np.unique(cells)) == len(cells)
+
+
+def test_a_sun_of_a_colour_outside_the_gamut_keeps_the_energy_of_every_channel() -> None:
+    image = clouds(256)
+    image[40, 100] = (1e5, 3e4, -1e4)
+    found = split(image)
+    assert len(found.suns) == 1
+    assert found.suns[0].irradiance[2] == 0.0
+    whole = found.suns[0].irradiance + energy(found.rest.image)
+    np.testing.assert_allclose(whole, energy(image), rtol=1e-5)
+
+
 def test_the_input_sky_is_unchanged() -> None:
     before = SUNNY.copy()
     split(SUNNY)

@@ -1,6 +1,7 @@
 """Progressive rendering: passes, checkpoints, limits of time and noise; and the command."""
 
 import json
+import math
 import signal
 import subprocess
 import sys
@@ -16,7 +17,14 @@ from formats.scene import Scene, read_scene
 from formats.scene.lights import DirectionalLight
 from prt_bake.lights.lighting import Lighting
 from prt_bake.rendering.scene import SHOWS, Rendering, render_scene
-from prt_bake.rendering.state import Sums, checkpoint_path, read_checkpoint, stored_limits, write_checkpoint
+from prt_bake.rendering.state import (
+    Sums,
+    checkpoint_path,
+    read_checkpoint,
+    relative_noise,
+    stored_limits,
+    write_checkpoint,
+)
 from tests.cli.command_line import Run
 from tests.rendering.pictures import WHITE, front, make_scene, uneven_sky
 
@@ -85,6 +93,14 @@ def test_one_pass_has_no_error_estimate(scene: Scene, tmp_path: Path) -> None:
     assert np.isinf(picture.standard_error).all()
     assert np.isfinite(picture.image).all()
     assert picture.relative_noise == np.inf
+
+
+def test_a_picture_that_is_dark_on_average_has_not_converged() -> None:
+    """Networks may be slightly negative in the dark."""
+    noise, coverage = np.full((4, 4, 3), 0.01), np.ones((4, 4))
+    assert relative_noise(np.full((4, 4, 3), 0.1), noise, coverage) == pytest.approx(0.1)
+    assert relative_noise(np.full((4, 4, 3), -0.1), noise, coverage) == math.inf
+    assert relative_noise(np.zeros((4, 4, 3)), noise, coverage) == 0.0
 
 
 def test_checkpoints_are_written_regularly(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -166,6 +166,15 @@ def test_dividing_commutes_with_rotation() -> None:
     assert lit(asset, Lighting((sky,))).min() > 0.0
 
 
+def test_suns_in_a_sky_are_an_unknown_error_of_every_treatment_without_lobes() -> None:
+    asset, view = lobed(), front()
+    sky = np.ones((64, 128, 3), np.float32)
+    sky[20, 40] = 3e4
+    for treatment in ("split", "window", "plain"):
+        picture = render_picture(asset, sky, view, background=False, suns=treatment)
+        assert picture.errors.suns is None
+
+
 @pytest.mark.parametrize("treatment", ["split", "window", "plain"])
 def test_treatments_agree_for_constant_transport(treatment: str) -> None:
     asset = make_asset(ball(2))

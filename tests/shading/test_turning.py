@@ -9,8 +9,11 @@ from formats.asset import Asset
 from formats.mesh import build_mesh
 from prt_bake.geometry.camera import Camera
 from prt_bake.lights import environment
+from prt_bake.lights.lighting import Lighting, Sky
 from prt_bake.mathematics import sh
+from prt_bake.shading import turntable as turntable_module
 from prt_bake.shading.picture import render_picture
+from prt_bake.shading.turntable import turntable
 from tests.shading.test_picture import front, make_asset, painted_sky
 from tests.tracer.scenes import lumpy
 
@@ -51,3 +54,16 @@ def test_rotating_the_sky_equals_rotating_object_and_eye_the_other_way(
     close = np.isclose(by_sky.image, by_object.image, rtol=1e-5, atol=1e-5).all(axis=2)
     assert close.mean() > 0.995
     assert by_sky.suns == by_object.suns == (1 if sky.max() > 1e4 else 0)
+
+
+def test_a_turntable_prepares_a_light_that_stays_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That of an asset with lobes takes seconds. The frames are those of single pictures."""
+    asset, view, sky = glossy(0.3), front(), Lighting((Sky(painted_sky(), "y", np.eye(3)),))
+    eyes = [environment.rotation(angle, "y") @ (view.eye - view.target) + view.target for angle in (0.0, 120.0, 240.0)]
+    alone = [render_picture(asset, sky, dataclasses.replace(view, eye=eye), suns="window").image for eye in eyes]
+    prepared = []
+    kept = turntable_module.prepare_light
+    monkeypatch.setattr(turntable_module, "prepare_light", lambda *light: prepared.append(light) or kept(*light))
+    frames = [picture.image for picture in turntable(asset, sky, view, 3, "eye", suns="window")]
+    assert len(prepared) == 1
+    np.testing.assert_array_equal(frames, alone)

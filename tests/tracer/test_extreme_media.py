@@ -3,6 +3,8 @@
 z-tests of false-alarm rate `significance.FALSE_ALARM` each, about 25 of them.
 """
 
+import math
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ from formats.scene import Scene
 from prt_bake.tracer import prepared
 from prt_bake.tracer.estimate import estimate_coefficients, estimate_transport
 from prt_bake.tracer.volume.majorants import extinction_blocks, steep_extinction
+from prt_bake.tracer.volume.media import phase
 from tests.mathematics.significance import assert_agree
 from tests.tracer import half_space
 from tests.tracer.scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
@@ -23,6 +26,17 @@ pytestmark = pytest.mark.statistics
 MATCHED: dict[str, Any] = {}
 SMOOTH: dict[str, Any] = {"eta": 1.4}
 ROUGH: dict[str, Any] = {"eta": 1.4, "roughness": 0.3}
+
+
+@pytest.mark.parametrize("size", [0.3, 0.99, 1.0 - 1e-6, 1.0 - 1e-9, 1.0 - 1e-15])
+def test_the_phase_function_is_accurate_up_to_its_limits(size: float) -> None:
+    """Compared with exact fractions; s = 1 − cosθ from the peak."""
+    whole = Fraction(size)
+    for g in (size, -size):
+        for cosine in (1.0, 1.0 - 1e-12, 0.999, 0.0, -1.0):
+            squared = 1 + whole * whole - 2 * whole * Fraction(cosine)
+            expected = float(1 - whole * whole) / (4.0 * math.pi) / float(squared) ** 1.5
+            assert phase(math.copysign(1.0, g) * cosine, g) == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("interface", [MATCHED, SMOOTH])
