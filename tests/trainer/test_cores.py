@@ -24,3 +24,4 @@ def test_many_cores_trace_more_paths_except_in_synchronous_runs(monkeypatch: pyt
         monkeypatch.setattr(training_data, "available_cores", lambda count=count: count)
         assert stream_for("cpu", synchronous=False).exits == paths
         assert stream_for("cpu", synchronous=True).exits == 32
+        assert {stream_for("cpu", synchronous).rays for synchronous in (False, True)} == {"exits"}
