@@ -56,7 +56,7 @@ def test_a_sheet_between_the_nodes_of_the_grid_has_bounds(network: NeuralBSSRDF)
     thin = copy.copy(network)
     thin._modules = {**network._modules, "view": sheet}
     with pytest.raises(QueryError, match="vertices are not on the surface"):
-        thin.refuse_foreign(build_mesh(np.eye(3) * 40.0, [[0, 1, 2]]))
+        thin.refuse_foreign(build_mesh(np.eye(3) * 40.0, np.array([[0, 1, 2]])))
 
 
 MIDDLE = np.array([0.0, 0.12, 0.19])

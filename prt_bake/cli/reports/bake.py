@@ -51,9 +51,9 @@ def bake(
     Writes bake.md, bake.json and bake.png: uniform Monte Carlo, Sobol, a lattice and adaptive bakes, with fitted slopes
     and efficiencies. With --scene adds path-traced bakes; with --light adds the error budget of a picture.
     """
+    refuse_view_and_eye(side, eye)
     if light is None:
         refuse_given(context, ("side", "eye", "points"), "without --light")
-    refuse_view_and_eye(side, eye)
     from prt_bake.baking.report.report import report_bake, report_files
 
     inputs = {"SOURCE": source, "MESH": mesh, "--scene": scene, "--light": light}

@@ -110,7 +110,7 @@ def test_a_flipped_bit_is_refused_or_harmless(tmp_path_factory, intact_file, pla
     (folder / "b.h5").write_bytes(content)
     intact = read_samples(intact_file)
     if check_samples(folder / "b.h5"):
-        assert_refused(folder / "b.h5", ": ")
+        assert_refused(folder / "b.h5", ".")
         return
     found = read_samples(folder / "b.h5")
     for name in NAMES:
