@@ -161,23 +161,6 @@ def test_a_bake_without_an_output_is_wrong_usage(prtbake: Run) -> None:
     assert "Missing option '--output' / '-o'" in outcome.err
 
 
-@pytest.mark.parametrize(
-    ("line", "sentence"),
-    [
-        ("bake scene.toml -o a.h5 --directions sobol", "--directions: has no effect on a scene, which is path traced"),
-        ("bake scene.toml -o a.h5 --lobes 2", "--lobes: has no effect on a scene"),
-        ("bake scene.toml -o a.h5 --convention incident", "--convention: has no effect on a scene"),
-        ("report bake model.pt sphere.ply --points 64", "--points: has no effect without --light"),
-        ("report bake model.pt sphere.ply --view left", "--view: has no effect without --light"),
-        ("train scene.toml -o a.pt --mend", "--mend: has no effect without --light"),
-    ],
-)
-def test_options_without_effect_are_wrong_usage(prtbake: Run, line: str, sentence: str) -> None:
-    outcome = prtbake(*line.split())
-    assert outcome.code == 2
-    assert sentence in " ".join(outcome.err.split())
-
-
 def test_the_plan_on_a_terminal(folder: Path) -> None:
     from prt_bake.cli.shared.plan import plan_lines
 

@@ -85,7 +85,11 @@ def test_extreme_scenes_train_without_nan(tmp_path, name, loss):
         progress=reports.append,
         output=tmp_path / "m.pt",
     )
-    assert all(np.isfinite([report.loss, report.validation]).all() for report in reports)
+    assert all(np.isfinite(report.loss) for report in reports)
+    # Without light in the reference, beside its noise, the error is unknown.
+    unknown = name.startswith("black") or name == "very thin"
+    assert all(np.isnan(report.validation) == unknown for report in reports)
+    assert unknown or all(np.isfinite(report.validation) for report in reports)
     positions = np.array(scene.mesh.positions)[:20]
     outgoing = np.asarray(scene.mesh.normals)[:20]
     assert np.isfinite(network_coefficients(network, positions, outgoing, 32)).all()
