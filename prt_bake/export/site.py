@@ -174,7 +174,7 @@ def _refuse_beyond_texture(path: Path, coefficients: Any) -> None:
     if isinstance(coefficients, CompactCoefficients):
         return
     vertices, bins, terms, channels = coefficients.shape
-    texels = vertices * (bins + 1) * math.ceil(terms * channels / 4)
+    texels = vertices * (bins + (bins > 1)) * math.ceil(terms * channels / 4)
     if texels > _MOST_TEXELS:
         raise QueryError(
             f"{path}: {vertices:,} vertices of {bins} view bins are {texels / _MOST_TEXELS:.1f} times what a browser "

@@ -112,9 +112,6 @@ def render_picture(
     >>> prt.write_image("spot.png", picture.image)
     """
     refuse_path("asset", asset, "prt.read_asset")
-    if samples < 1:
-        raise QueryError(f"samples: expected at least 1 along each side of a pixel, found {samples}")
-    refuse_eye_in_object(asset.mesh, camera.eye)
     lighting = as_lighting(light, up or asset.up, rotate)
     start = time.perf_counter()
     prepared = prepare_light(asset, lighting, suns)
@@ -138,6 +135,9 @@ def picture_under(
 ) -> Picture:
     """`render_picture` under a lighting that was `prepared` for the asset, for several pictures under one light."""
     start = time.perf_counter()
+    if samples < 1:
+        raise QueryError(f"samples: expected at least 1 along each side of a pixel, found {samples}")
+    refuse_eye_in_object(asset.mesh, camera.eye)
     warn_of_other_eye(asset, camera.eye)
     visibility = Visibility(asset.mesh)
     points = find_visible_points(visibility, camera, grid_offsets(samples))

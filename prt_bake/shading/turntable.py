@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from formats.asset import Asset
 from formats.errors import QueryError
-from prt_bake.geometry.camera import Camera, refuse_eye_in_object
+from prt_bake.geometry.camera import Camera
 from prt_bake.lights import environment
 from prt_bake.lights.lighting import Lighting, as_lighting
 from prt_bake.shading.asset_light import prepare_light
@@ -40,5 +40,4 @@ def turntable(
     prepared = prepare_light(asset, still, options.pop("suns", "split"))
     for degrees in angles:
         eye = camera.target + environment.rotation(degrees, axis) @ (camera.eye - camera.target)
-        refuse_eye_in_object(asset.mesh, eye)
         yield picture_under(asset, still, prepared, replace(camera, eye=eye), **options)
