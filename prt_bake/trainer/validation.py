@@ -237,9 +237,10 @@ def noise_free_ratio(predicted: ArrayLike, mean: Array, error: Array) -> float:
 class FinalErrors:
     """Relative RMSE of Ŝ and of the degree-2 coefficients on fresh queries, and the reference's relative noise.
 
-    An error is None if it is unknown, because the noise of the reference hides it. Ŝ has neither behind a smooth
-    interface, where it has no point values. The interval is the 95 % confidence interval of the coefficients' error;
-    None if it is unknown, as for few queries. queries, walks: those of the coefficients.
+    The noise of the reference is subtracted. If nothing is left, the error is the upper end of its interval, and None
+    without one. Ŝ has neither behind a smooth interface, where it has no point values. The interval is the 95 %
+    confidence interval of the coefficients' error; None if it is unknown, as for few queries. queries, walks: those of
+    the coefficients.
     """
 
     transport: float | None
@@ -293,9 +294,11 @@ def final_errors(
 
 
 def _known_error(traced: Traced) -> Interval | None:
-    """The error of the predictions; None if the noise of the reference hides it."""
+    """The error of the predictions; the upper end of its interval if noise hides the rest, None without one."""
     error = relative_rmse(traced.errors(), FINAL_SEED) if _noise_of(traced) < _ONLY_NOISE else None
-    return error if error is not None and error.value > 0.0 else None
+    if error is None or error.value > 0.0:
+        return error
+    return Interval(error.high, 0.0, error.high) if error.high > 0.0 else None
 
 
 def _noise_of(traced: Traced) -> float:

@@ -40,9 +40,10 @@ def test_few_queries_have_no_interval(tmp_path: Path, queries: int, known: bool)
         assert low <= errors.coefficients <= high
 
 
-def test_an_error_that_the_noise_hides_is_unknown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The noise is subtracted; if nothing is left, the error is not zero."""
-    monkeypatch.setattr(validation, "relative_rmse", lambda *_: Interval(0.0, 0.0, 0.1))
-    scene = make_scene(tmp_path)
-    errors = final_errors(Degree2(np.zeros((8, 9, 3))), scene, 8, 8)
-    assert (errors.transport, errors.coefficients, errors.coefficients_interval) == (None, None, None)
+@pytest.mark.parametrize("high", [0.1, 0.0, float("nan")])
+def test_an_error_that_the_noise_hides_is_not_zero(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, high: float) -> None:
+    """The noise is subtracted; if nothing is left, the error is at most the upper end of its interval."""
+    monkeypatch.setattr(validation, "relative_rmse", lambda *_: Interval(0.0, 0.0, high))
+    errors = final_errors(Degree2(np.zeros((8, 9, 3))), make_scene(tmp_path), 8, 8)
+    expected = (0.1, 0.1, [0.0, 0.1]) if high > 0.0 else (None, None, None)
+    assert (errors.transport, errors.coefficients, errors.coefficients_interval) == expected

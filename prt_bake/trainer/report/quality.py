@@ -42,7 +42,8 @@ def quality(error: Interval, minutes: float, walks: float, kind: str = "") -> st
     use, worst = _use(error.value), _use(error.high)
     doubt = f" (at the upper end of this range only {worst})" if worst not in ("", use) else ""
     outlook = _outlook(error.value, minutes, walks, kind)
-    return f"the {name} is {100 * error.value:.1f} % off{interval}: {use}{doubt}{outlook}"
+    most = "at most " if error.low == 0.0 < error.value == error.high else ""
+    return f"the {name} is {most}{100 * error.value:.1f} % off{interval}: {use}{doubt}{outlook}"
 
 
 def _use(error: float) -> str:
