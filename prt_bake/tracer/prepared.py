@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from formats.scene import Part, Scene
 from prt_bake.geometry.embree import TriangleScene, intersect_address
-from prt_bake.geometry.nesting import refuse_outside
+from prt_bake.geometry.nesting import reaches_surface, refuse_outside
 from prt_bake.geometry.shells import refuse_ambiguous
 from prt_bake.geometry.surface import Location, Surface
 from prt_bake.tracer.next_event import NextEventSampling, next_event_sampling
@@ -134,21 +134,27 @@ def _kind(part: Part, outside: float) -> int:
     return ROUGH if _mean_alpha(part) >= SMOOTHEST else SMOOTH
 
 
+@lru_cache(maxsize=8)
 def smooth_part(scene: Scene) -> Part | None:
     """The part whose smooth interface makes connections to the light impossible, or None.
 
-    Through a rough outer boundary all events can connect. Through an index-matched one they can if no smooth interface
-    is inside.
+    Through a rough outer boundary all events can connect, unless an inner part of index 1 reaches it: light passes
+    straight there. Through an index-matched one they can if no smooth interface is inside.
     """
     outermost = scene.parts[0]
     if interface_kind(scene) == ROUGH:
-        return None
+        return next(filter(lambda part: _opens(part, outermost), scene.parts[1:]), None)
     if interface_kind(scene) == SMOOTH:
         return outermost
     for part in scene.parts[1:]:
         if part.diffuse is None and _kind(part, scene.parts[part.parent].eta) == SMOOTH:
             return part
     return None
+
+
+def _opens(part: Part, outermost: Part) -> bool:
+    """Whether an inner part of index 1 reaches the object's surface, where nothing refracts light then."""
+    return part.diffuse is None and _kind(part, 1.0) == MATCHED and reaches_surface(part.mesh, outermost.mesh)
 
 
 def is_unrefracted(scene: Scene) -> bool:

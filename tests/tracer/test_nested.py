@@ -17,6 +17,7 @@ from prt_bake.geometry.surface import Surface
 from prt_bake.mathematics import sh
 from prt_bake.tracer.estimate import estimate_coefficients, estimate_transport
 from prt_bake.tracer.light_samples import sample_exits
+from prt_bake.tracer.prepared import smooth_part
 from prt_bake.tracer.surface.interface import fresnel
 from tests.mathematics.significance import assert_agree
 from tests.tracer.scenes import lumpy, moved, queries, rotated_lattices, slab, sphere, unit_directions
@@ -245,3 +246,15 @@ def test_smooth_glass_in_an_index_matched_medium_is_refused_by_name(tmp_path):
     with pytest.raises(QueryError, match="'marble' is a smooth interface"):
         estimate_transport(scene, positions, outgoing, outgoing, 16)
     assert np.isfinite(estimate_coefficients(scene, positions, outgoing, 1, 64).mean).all()
+
+
+@pytest.mark.parametrize(("height", "opens"), [(0.0, False), (0.2 - 1e-9, True), (0.2, True), (0.4, True)])
+def test_an_air_bubble_that_reaches_a_rough_surface_allows_no_connections(height, opens, tmp_path):
+    """Light enters through its opening without refraction, so that no event could connect to it."""
+    bubble = {"mesh": moved(slab(1.0), 0.6, [0.0, 0.0, height]), "name": "bubble", "interface": {"eta": 1.0}}
+    scene = nested(tmp_path, slab(1.0), WHITE, ROUGH, bubble | {"medium": CLEAR})
+    positions, outgoing = np.array([[0.1, 0.05, -0.5]]), np.array([[0.0, 0.0, -1.0]])
+    assert (smooth_part(scene) is scene.parts[1]) == opens
+    if opens:
+        with pytest.raises(QueryError, match="'bubble'"):
+            estimate_transport(scene, positions, outgoing, outgoing, 16)

@@ -41,7 +41,9 @@ def test_few_queries_have_no_interval(tmp_path: Path, queries: int, known: bool)
 
 
 @pytest.mark.parametrize("high", [0.1, 0.0, float("nan")])
-def test_an_error_that_the_noise_hides_is_not_zero(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, high: float) -> None:
+def test_an_error_that_the_noise_hides_is_not_zero(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, high: float
+) -> None:
     """The noise is subtracted; if nothing is left, the error is at most the upper end of its interval."""
     monkeypatch.setattr(validation, "relative_rmse", lambda *_: Interval(0.0, 0.0, high))
     errors = final_errors(Degree2(np.zeros((8, 9, 3))), make_scene(tmp_path), 8, 8)
