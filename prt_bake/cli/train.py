@@ -274,7 +274,7 @@ def _figures(training: dict[str, Any], output: Path, scene: Path) -> list[str]:
         test, samples = training["test_relative_rmse"], training["samples"]
         sentences.append(
             f"relative RMSE on the {samples['test_queries']:,} test queries of {samples['file']} "
-            f"{test['transport']:.2%} (the noise, {test['transport_noise']:.2%}, is subtracted)"
+            f"{_percent(test['transport'])} (the noise, {_percent(test['transport_noise'])}, is subtracted)"
         )
     if "relative_rmse" not in training:
         measuring = command("prtbake", "report", "training", output, scene)
@@ -283,8 +283,12 @@ def _figures(training: dict[str, Any], output: Path, scene: Path) -> list[str]:
     names = {"transport": "of the transport function", "coefficients": "of the coefficients"}
     if rmse["transport_noise"] is None:
         del names["transport"]
-    known = {key: "unknown" if rmse[key] is None else f"{rmse[key]:.2%}" for key in names}
+    known = {key: _percent(rmse[key]) for key in names}
     errors = ", ".join(f"{name} {known[key]}" for key, name in names.items())
     noises = " and ".join(f"{rmse[key + '_noise']:.2%}" for key in names)
     sentences.append(f"relative RMSE on fresh queries {errors} (the noise of the reference, {noises}, is subtracted)")
     return sentences
+
+
+def _percent(error: float | None) -> str:
+    return "unknown" if error is None or math.isnan(error) else f"{error:.2%}"

@@ -87,7 +87,7 @@ class NeuralBSSRDF(NetworkCore):
         self, incident: ArrayLike, rotation: ArrayLike, positions: ArrayLike, outgoing: ArrayLike
     ) -> NDArray[np.float32]:
         """Ŝ [N,B,D,3]: bin (n, b) is lit from incident[rotation[n, b]]; see `FusedNetwork.evaluate_block`."""
-        fused = self.prepared(device=str(self.frequencies.device))
+        fused = self.prepared(device=self.frequencies.device.type)
         return fused.evaluate_block(incident, rotation, positions, outgoing)
 
     def rounded(self) -> Self:

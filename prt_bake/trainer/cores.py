@@ -6,6 +6,9 @@ from typing import Literal, NamedTuple
 
 from formats.errors import QueryError
 
+_LEARNER_SHARE = 0.25
+"""Share of the cores that learn; the others render."""
+
 
 class Threads(NamedTuple):
     """Numbers of threads of the renderer and of the learner."""
@@ -19,16 +22,16 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def concurrent_threads(learner_share: float, device: str) -> Threads:
+def concurrent_threads(device: str) -> Threads:
     """Threads of a renderer and a learner that run at the same time.
 
-    The learner gets about `learner_share` of the cores, at least one. The renderer gets the others and one more, since
-    it pauses whenever it is ahead. A learner on a GPU leaves all cores to the renderer.
+    The learner gets a quarter of the cores, at least one. The renderer gets the others and one more, since it pauses
+    whenever it is ahead. A learner on a GPU leaves all cores to the renderer.
     """
     cores = available_cores()
     if device != "cpu":
         return Threads(_numba_limit(cores), 1)
-    learner = max(1, min(cores - 1, round(cores * learner_share)))
+    learner = max(1, min(cores - 1, round(cores * _LEARNER_SHARE)))
     return Threads(_numba_limit(cores - learner + 1), learner)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from formats.atomic import replacing
-from formats.errors import ModelError
+from formats.errors import ModelError, StorageError
 from prt_bake.network.file_names import state_path
 
 _VERSION = 6
@@ -23,8 +23,15 @@ def write_state(output: str | Path, state: dict[str, Any]) -> None:
     """Write the checkpoint atomically; `state` has the hash of the `scene` and the fixed settings as `begun`."""
     import torch
 
-    with replacing(state_path(output)) as part:
-        torch.save({"version": _VERSION, **state}, part)
+    path = state_path(output)
+    with replacing(path) as part:
+        try:
+            torch.save({"version": _VERSION, **state}, part)
+        except RuntimeError as fault:  # torch's own writer, which says no more of a full disk
+            raise StorageError(
+                f"{path}: the checkpoint cannot be written, perhaps because the disk is full; free some space or "
+                "write elsewhere"
+            ) from fault
 
 
 def seconds_of(output: str | Path) -> float:

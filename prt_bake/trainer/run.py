@@ -27,6 +27,8 @@ from prt_bake.trainer.resume import read_state, write_state
 from prt_bake.trainer.samples.rows import RowSource
 from prt_bake.trainer.training_data import TrainingData
 
+_SHARE_OF_SAVES = 0.05
+"""Largest share of the time of learning that checkpoints take; long runs have up to 690 MB of queries in them."""
 _LOW_BANDS = low_bands.SHARE_OF_TIME / (low_bands.SHARE_OF_TIME + correction.SHARE_OF_TIME)
 """The share of low bands in the time after learning."""
 Progress = Callable[[TrainingProgress], None]
@@ -111,7 +113,7 @@ class Run:
         """Whether a resumed run had the requested length."""
         if self.steps is not None:
             return self.learner.step >= self.steps
-        return self.budget is not None and self.budget.learning(self.seconds) <= 0.0
+        return self.budget is not None and (self.budget.left <= 0.0 or self.budget.learning(self.seconds) <= 0.0)
 
     def state(self) -> dict[str, Any]:
         """The checkpoint's content: plain values and tensors."""
@@ -158,7 +160,7 @@ class Run:
         before = self.seconds
         self._set_length(before)
         first, begun = True, time.perf_counter()
-        saved = begun
+        next_save = begun + self.learning.checkpoint_every
         meter = Meter(source.statistics())
         source.start()
         meter.add_wait(meter.seconds)
@@ -178,9 +180,10 @@ class Run:
             if meter.seconds > self.learning.report_every:
                 self._report(meter, self.share, source)
                 meter = Meter(source.statistics())
-            if time.perf_counter() - saved > self.learning.checkpoint_every:
+            if (now := time.perf_counter()) > next_save:
                 self.save()
-                saved = time.perf_counter()
+                took = time.perf_counter() - now
+                next_save = now + took + max(self.learning.checkpoint_every, took / _SHARE_OF_SAVES)
         self.learner.check(source)
         if not meter.empty:
             self._report(meter, 1.0, source)
@@ -266,7 +269,8 @@ class Run:
 
         It keeps those of an earlier network, or has none, if that has less error.
         """
-        if self.low is None:
+        assert self.source is not None
+        if self.low is None or self.source.traced is None:  # values of a file have no paths that low bands could fit
             assert isinstance(network, TrainableModel)
             return network
         fitted, before = deepcopy(network), deepcopy(network)

@@ -84,13 +84,13 @@ class PathTracedData:
         if self._synchronous:
             return AlternatingRenderer(tracer, self._stream, alternating_threads().renderer, self._seed, state)
         device = network.box_min.device.type
-        threads = concurrent_threads(learning.core_share, device).renderer
+        threads = concurrent_threads(device).renderer
         reuse = self._stream.reuse if device == "cpu" else math.inf
         return BackgroundRenderer(tracer, self._stream, threads, _FIRST_FILL * learning.batch, state, reuse)
 
     def learner_threads(self, learning: LearningSettings, device: str) -> int:
         """One thread for synchronous runs: the rounding of sums depends on the number of threads."""
-        return 1 if self._synchronous else concurrent_threads(learning.core_share, device).learner
+        return 1 if self._synchronous else concurrent_threads(device).learner
 
     def description(self) -> dict[str, Any]:
         """The renderer's settings."""

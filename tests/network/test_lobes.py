@@ -172,7 +172,7 @@ class Exits:
 
     exits = True
 
-    def where(self, number: int) -> str:
+    def describe(self, number: int) -> str:
         return f"query {number}"
 
 

@@ -20,7 +20,7 @@ from prt_bake.trainer.samples.record import query_keys, record_samples
 from prt_bake.trainer.samples.rows import StreamSettings, trace_values
 from prt_bake.trainer.validation import hold_out, noise_free_ratio
 from tests.cli.command_line import Run
-from tests.trainer.small_training import LEARNING, make_scene, train_small
+from tests.trainer.small_training import LEARNING, SMALL, make_scene, train_small
 
 BRIEF = dataclasses.replace(LEARNING, held_out_queries=64, held_out_walks=32, report_every=0.1)
 
@@ -238,3 +238,13 @@ def test_report_and_importance_follow_a_training(prtbake: Run, tmp_path):
     written = {path.name for path in tmp_path.iterdir()}
     assert written == {"m.pt", "m.train.pt", "m.importance.pt", "m.report.json", "m.report.html"}
     assert "KL divergence" in trained.out
+
+
+def test_a_file_of_values_has_no_paths_for_low_bands(tmp_path):
+    """Untrained low bands would be what bakes use."""
+    scene = make_scene(tmp_path, eta=1.3, roughness=0.4)
+    record_samples(scene, tmp_path / "s.h5", 2000, walks=2, directions=4)
+    settings = dataclasses.replace(SMALL, light_layers=1, low_width=16)
+    network = train_small(scene, 4, samples=tmp_path / "s.h5", settings=settings, learning=BRIEF)
+    assert network.low is None
+    assert network.settings.low_width == 0

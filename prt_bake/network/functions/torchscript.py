@@ -31,7 +31,7 @@ def open_torchscript(path: str | Path) -> Callable[[NDArray[np.float64]], Any]:
         try:
             with torch.inference_mode():
                 return function(torch.from_numpy(rows).to(dtype, copy=True))  # it may write into its rows
-        except RuntimeError as fault:
+        except (RuntimeError, torch.jit.Error) as fault:
             last = str(fault).strip().splitlines()[-1]
             kind = str(dtype).removeprefix("torch.")
             raise ModelError(f"{path}: failed on [{len(rows)}, 7] of {kind} ({last})") from None

@@ -36,8 +36,8 @@ def resampled(directions: Tensor, throughput: Tensor, kept: int, offsets: Tensor
     strata = (offsets + torch.arange(kept, device=light.device)) * (total / kept)
     chosen = order.gather(1, torch.searchsorted(cumulative, strata, right=True).clamp_(max=walks - 1))
     drawn = light.gather(1, chosen)
-    # Rounding may draw the last walk although it is dark.
-    scale = torch.where(drawn > 0.0, total / (walks * drawn), 0.0)
+    # Rounding may draw the last walk although it is dark. Light that is not finite stays so, for the loss to show it.
+    scale = torch.where((drawn > 0.0) | ~total.isfinite(), total / (walks * drawn), 0.0)
     rows = chosen[..., None].expand(-1, -1, 3)
     return directions.gather(1, rows), throughput.gather(1, rows) * scale[..., None].float()
 

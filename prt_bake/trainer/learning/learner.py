@@ -70,8 +70,6 @@ class LearningSettings:
     first, sooner from many cheap steps."""
     low_batch: int = 512
     """Queries per step of the low bands (`low_bands.py`)."""
-    core_share: float = 0.25
-    """Share of the cores that learn (at least one); the others render."""
     checkpoint_every: float = 60.0
     """Seconds between checkpoints."""
     report_every: float = 2.0
@@ -94,7 +92,6 @@ class LearningSettings:
             "spread": (self.spread >= 1, "1 or more"),
             "coarse_steps": (self.coarse_steps >= 0, "0 or more"),
             "low_batch": (self.low_batch >= 1, "1 or more"),
-            "core_share": (0.0 <= self.core_share < 1.0, "0 to below 1"),
             "held_out_queries": (self.held_out_queries >= 1, "1 or more"),
             "held_out_walks": (self.held_out_walks >= 2, "2 or more"),
         }

@@ -93,7 +93,7 @@ def assess(
         "history": {
             "of": training.get("validation_of", _validated_quantity(scene, training)),
             "columns": ["seconds", "walks", "validation error"],
-            "rows": [[float(x) for x in row] for row in history],
+            "rows": [[np.nan if x is None else float(x) for x in row] for row in history],
         },
         "angles": _angles(evaluation, seed),
         "regions": breakdown.regions(evaluation.views.positions, by_vertex(evaluation), seed),

@@ -112,6 +112,19 @@ def test_a_function_may_write_into_its_rows(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, [[[0.2, 0.4, 0.6]]], rtol=1e-6)
 
 
+class Strict(torch.nn.Module):
+    """Wants rows of ten numbers."""
+
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        assert rows.shape[1] == 10
+        return rows[:, :3]
+
+
+def test_a_function_that_asserts_other_rows_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"failed on \[\d+, 7\] of float32"):
+        load_function(script(Strict(), tmp_path))
+
+
 def test_other_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="no such file"):
         load_function(tmp_path / "none.pt")

@@ -256,14 +256,16 @@ def test_a_run_keeps_the_best(best: str, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(Run, "_fit_correction", correct)
     run: Any = object.__new__(Run)
     run.low, run.earlier_low, run.stopped = network().low, network(replace(SETTINGS, low_layers=4)).low, False
-    run.earlier_correction = None
+    run.earlier_correction, run.source = None, SimpleNamespace(traced=TracedQueries())
     run.reference = SimpleNamespace(relative_rmse=lambda made: 0.1 if kind(made) == best else 0.2)
     plain = network(replace(SETTINGS, low_width=0))
     found = run._with_low_bands(plain)
     assert kind(found) == found.metadata["corrected"] == best
     assert found.settings.low_width == (0 if best == "none" else 10)
     assert found.low is None or found.settings.low_layers == len(found.low.hidden) == (4 if best == "earlier" else 5)
-    run.low = None
+    run.source = SimpleNamespace(traced=None)
+    assert run._with_low_bands(plain) is plain
+    run.low, run.source = None, SimpleNamespace(traced=TracedQueries())
     assert run._with_low_bands(plain) is plain
 
 
@@ -271,7 +273,7 @@ def test_low_bands_that_are_not_finite_are_not_kept(monkeypatch: pytest.MonkeyPa
     run: Any = object.__new__(Run)
     run.low, run.earlier_low, run.earlier_correction, run.stopped = network().low, None, None, True
     run.reference = SimpleNamespace(relative_rmse=lambda made: 0.5 if made.low is None else float("nan"))
-    run.source = SimpleNamespace(traced=None)
+    run.source = SimpleNamespace(traced=TracedQueries())
     assert run._with_low_bands(network(replace(SETTINGS, low_width=0))).low is None
 
 

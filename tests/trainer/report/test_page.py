@@ -13,6 +13,7 @@ from formats.errors import StorageError
 from prt_bake.cli.main import main
 from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF, save_model
 from prt_bake.network.file_names import report_paths
+from prt_bake.trainer import references
 from prt_bake.trainer.report.assessment import assess
 from prt_bake.trainer.report.page import training_page, write_training_report
 from prt_bake.trainer.report.picture import SUNS, picture_summary, sun_text
@@ -29,15 +30,10 @@ EMPTY = {"meta", "link", "br", "hr", "img", "path", "use"}
 def report(tmp_path_factory):
     scene = make_scene(tmp_path_factory.mktemp("ball"), sphere(2))
     network = Network(lambda *query: 1.05 * truth(*query))
-    history = [[6.0 * k, 1000.0 * k, 0.5 / np.sqrt(k)] for k in range(1, 20)]
-    return assess(
-        network,
-        scene,
-        queries=256,
-        seconds=0.2,
-        tracer=NoisyTruth(1.0),
-        history=history,
-    )
+    history = [[3.0, 500.0, None], *([6.0 * k, 1000.0 * k, 0.5 / np.sqrt(k)] for k in range(1, 20))]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(references, "MOST_BATCHES", 64)
+        return assess(network, scene, queries=256, seconds=np.inf, tracer=NoisyTruth(1.0), history=history)
 
 
 @pytest.fixture(scope="module")
