@@ -1,6 +1,7 @@
 """Training runs: resuming, synchronous runs that repeat to the last bit, renderers and progress reports."""
 
 import dataclasses
+import math
 import threading
 import time
 
@@ -12,7 +13,7 @@ from formats.errors import ModelError, QueryError, StorageError
 from prt_bake.network.bssrdf import load_model
 from prt_bake.network.file_names import state_path
 from prt_bake.tracer.prepared import prepare
-from prt_bake.trainer import cores
+from prt_bake.trainer import cores, run
 from prt_bake.trainer.budget import Budget
 from prt_bake.trainer.history import every_tenth
 from prt_bake.trainer.resume import write_state
@@ -59,8 +60,10 @@ def train_until_killed(scene, step, output, **arguments):
         if report.step >= step:
             raise Killed
 
-    with pytest.raises(Killed):
-        train_small(scene, 24, output=output, progress=die, **arguments)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "_SHARE_OF_SAVES", math.inf)
+        with pytest.raises(Killed):
+            train_small(scene, 24, output=output, progress=die, **arguments)
 
 
 def test_synchronous_runs_repeat_to_the_last_bit(scene):
