@@ -108,7 +108,7 @@ gpu: .venv/installed-dev .venv/installed-cuda
 shipped: .venv/installed-evaluate
 	@test -f "$(SKY)" || { echo "prtbake: make shipped needs a sky: make shipped SKY=potsdamer_platz_1k.hdr" >&2; exit 1; }
 	$(BIN)/python -m prt_bake.shipped.remake "$(SKY)"
-	$(BIN)/prtbake train prt_bake/shipped/spot.toml -o prt_bake/shipped/spot.pt --minutes 10 --no-report --no-importance --force
+	$(BIN)/prtbake train prt_bake/shipped/spot.toml -o prt_bake/shipped/spot.pt --minutes 60 --no-report --no-importance --force
 	rm -f prt_bake/shipped/spot.train.pt
 	$(BIN)/prtbake render prt_bake/shipped/spot.toml prt_bake/shipped/spot.obj --light prt_bake/shipped/sky.hdr \
 		-o prt_bake/shipped/reference.exr --view three-quarter-back --size 256x256 --spp 2048 --report prt_bake/shipped/reference.json

@@ -2,7 +2,7 @@
 
 sigma_t.npy, albedo.npy    marble.py
 sky.hdr                    the CC0 sky at half size (means of 2 × 2 pixels)
-spot.pt                    prtbake train spot.toml -o spot.pt --minutes 10
+spot.pt                    prtbake train spot.toml -o spot.pt --minutes 60
 reference.exr, .json       prtbake render spot.toml spot.obj --light sky.hdr --view three-quarter-back …
 """
 

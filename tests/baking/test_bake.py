@@ -352,6 +352,12 @@ def test_the_error_ladder_has_cost_and_error_of_each_number_of_directions() -> N
     assert rows[1, 2] == pytest.approx(whole.provenance["estimated_relative_rmse"]["total"], rel=0.5)
 
 
+def test_the_error_ladder_ends_where_more_directions_change_nothing() -> None:
+    rows = error_ladder(Banded(2), ball(), rings=4, sectors=8, samples=(18, 64, 256))
+    assert len(rows) == 1
+    assert rows[0, 2] < 1e-5
+
+
 def test_a_partial_asset_never_replaces_a_complete_one(tmp_path: Path) -> None:
     out = tmp_path / "ball.h5"
     mesh = ball(200)

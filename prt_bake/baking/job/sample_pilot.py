@@ -22,6 +22,8 @@ from prt_bake.mathematics.random import hashed, uniforms
 PILOT_VERTICES = 32
 PILOT_LIMIT = 1 << 14
 LADDER = (18, 32, 64, 128, 256)
+EXACT = 1e-5
+"""Below this relative error a bake is exact up to rounding: a network with low bands needs no more directions."""
 RELIABLE_ERROR = 0.3
 """Largest relative error of walks from which the required number of walks is predicted."""
 MARGIN = 1.1
@@ -83,6 +85,7 @@ def error_ladder(
 ) -> NDArray[np.float64]:
     """Rows (seconds, evaluations, estimated relative RMSE) of baking the complete mesh with each number of directions.
 
+    Ends with the first exact number, since more directions change nothing: a network with low bands has one row.
     Error and time are measured at a few vertices drawn by the seed; the time is scaled to all vertices and divided by
     the workers. With `baked`, an earlier bake of the same mesh, vertices are drawn by importance: in proportion to
     their share of its error and of its squared coefficients. Uniform draws would usually miss the error if a few
@@ -102,6 +105,8 @@ def error_ladder(
             share = len(mesh.positions) / len(vertices)
             seconds = (time.monotonic() - began) * share / max(1, workers)
             rows.append((seconds, float(len(mesh.positions) * rings * sectors * job.resolved.samples), error))
+            if error < EXACT:
+                break
     return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from formats.asset import Asset
 from formats.atomic import replacing
 from formats.extras import require
+from prt_bake.baking.job.sample_pilot import EXACT
 
 REACHED = 1.02
 """Times the requested error that still counts as reached."""
@@ -57,7 +58,8 @@ def _transport_error(lobes: dict[str, Any], harmonics: float | None) -> dict[str
 def plot_error(ladder: NDArray[np.float64], baked: NDArray[np.float64], path: str | Path) -> None:
     """Plots the estimated relative error of bakes against their run time, both on logarithmic axes.
 
-    ladder: rows (seconds, evaluations, error) [rows,3], one for each number of directions. baked: rows of the bake.
+    ladder: rows (seconds, evaluations, error) [rows,3], one for each number of directions; an exact one is drawn as a
+    line at its time. baked: rows of the bake.
 
     Raises PrtbakeError if the extra `evaluate` is not installed, StorageError if `path` cannot be written.
     """
@@ -67,11 +69,14 @@ def plot_error(ladder: NDArray[np.float64], baked: NDArray[np.float64], path: st
 
     figure = Figure(figsize=(6.0, 4.0), layout="constrained")
     axes = figure.add_subplot()
-    axes.loglog(
-        ladder[:, 0], ladder[:, 2], marker="o", label="equal directions at every bin, estimated at a few vertices"
-    )
     axes.loglog(baked[:, 0], baked[:, 2], marker="*", markersize=12, label="this bake")
-    for time, count, level in [*ladder, *baked]:
+    exact = ladder[:, 2] < EXACT
+    if not exact.all():
+        label = "equal directions at every bin, estimated at a few vertices"
+        axes.loglog(ladder[~exact, 0], ladder[~exact, 2], marker="o", label=label)
+    for time in ladder[exact, 0]:
+        axes.axvline(time, linestyle="--", color="gray", label="every bin: exact")
+    for time, count, level in [*ladder[~exact], *baked]:
         # Labels are below the curves, which fall.
         axes.annotate(
             f"{float(f'{count / 1e6:.3g}'):g} M",
