@@ -35,7 +35,7 @@ def silent(share: float) -> None:
 
 
 @dataclass(frozen=True)
-class Traced:
+class TracedReference:
     """A path-traced reference of the first N queries, and the network's predictions [N,…] there (None without one).
 
     walks: of each query. ended: "noise" if the noise is at most a third of the measured error, else "time" or "size".
@@ -97,7 +97,7 @@ def trace_reference(
     seed: int = 0,
     stream: int = 0,
     follow: Follow = silent,
-) -> Traced:
+) -> TracedReference:
     """Estimate `count` queries in batches of `paths` walks per query, within `seconds`.
 
     Begins with 8 batches of each query, in blocks of queries; if the time is over, the other queries are left out. At
@@ -129,7 +129,7 @@ def trace_reference(
                     break
                 estimates.add(estimate(rows, paths, _seed(key, estimates.count, 0)))
                 clock.show(estimates.count / most)
-    return Traced(estimates, predicted, paths * estimates.count, clock.seconds, ended)
+    return TracedReference(estimates, predicted, paths * estimates.count, clock.seconds, ended)
 
 
 def _first_batches(

@@ -18,7 +18,15 @@ from prt_bake.mathematics.noise_free import Interval, relative_rmse
 from prt_bake.mathematics.sphere import fibonacci
 from prt_bake.tracer.estimate import estimate_coefficients
 from prt_bake.tracer.prepared import PreparedScene, is_unrefracted, prepare, smooth_part
-from prt_bake.trainer.references import FIRST_BATCHES, Estimate, Follow, Predict, Traced, silent, trace_reference
+from prt_bake.trainer.references import (
+    FIRST_BATCHES,
+    Estimate,
+    Follow,
+    Predict,
+    TracedReference,
+    silent,
+    trace_reference,
+)
 from prt_bake.trainer.samples.queries import Queries, QuerySource
 from prt_bake.trainer.samples.rows import trace_values
 
@@ -116,7 +124,7 @@ def _traced_values(
     seconds: float,
     follow: Follow,
     network: Any = None,
-) -> tuple[Queries, Traced]:
+) -> tuple[Queries, TracedReference]:
     source = QuerySource(prepared, directions, seed)
     queries = source.draw(0, count)
 
@@ -160,7 +168,7 @@ def _traced_coefficients(
     seconds: float,
     follow: Follow,
     network: Any = None,
-) -> tuple[Queries, Traced]:
+) -> tuple[Queries, TracedReference]:
     queries = QuerySource(prepare(scene), 1, seed).draw(0, count)
 
     def estimate(rows: slice, paths: int, key: int) -> Array:
@@ -184,7 +192,7 @@ def _traced(
     seed: int,
     seconds: float,
     follow: Follow,
-) -> Traced:
+) -> TracedReference:
     """Trace `count` queries with `walks` walks each, fewer if `seconds` are over."""
     batches = _batches(walks)
     return trace_reference(
@@ -293,7 +301,7 @@ def final_errors(
     )
 
 
-def _known_error(traced: Traced) -> Interval | None:
+def _known_error(traced: TracedReference) -> Interval | None:
     """The error of the predictions; the upper end of its interval if noise hides the rest, None without one."""
     error = relative_rmse(traced.errors(), FINAL_SEED) if _noise_of(traced) < _ONLY_NOISE else None
     if error is None or error.value > 0.0:
@@ -301,7 +309,7 @@ def _known_error(traced: Traced) -> Interval | None:
     return Interval(error.high, 0.0, error.high) if error.high > 0.0 else None
 
 
-def _noise_of(traced: Traced) -> float:
+def _noise_of(traced: TracedReference) -> float:
     return _relative(traced.standard_error, traced.estimates.mean)
 
 

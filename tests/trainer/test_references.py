@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from prt_bake.trainer import references
-from prt_bake.trainer.references import Array, Traced, trace_reference
+from prt_bake.trainer.references import Array, TracedReference, trace_reference
 
 TRUTH = np.linspace(1.0, 2.0, 400)[:, None]
 
@@ -44,7 +44,7 @@ def walks(monkeypatch: pytest.MonkeyPatch) -> Walks:
     return Walks(clock)
 
 
-def traced(walks: Walks, seconds: float, **more: Any) -> Traced:
+def traced(walks: Walks, seconds: float, **more: Any) -> TracedReference:
     return trace_reference(walks, len(TRUTH), 16, seconds=seconds, predict=lambda rows: 1.1 * TRUTH[rows], **more)
 
 

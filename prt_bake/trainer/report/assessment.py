@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from formats.scene import Scene
 from prt_bake.mathematics.noise_free import Replicates, Sums
 from prt_bake.tracer.prepared import PreparedScene, is_unrefracted, prepare, smooth_part
-from prt_bake.trainer.references import Follow, Traced, silent
+from prt_bake.trainer.references import Follow, TracedReference, silent
 from prt_bake.trainer.report import breakdown, seams
 from prt_bake.trainer.report.error_figures import (
     by_vertex,
@@ -169,7 +169,7 @@ def _single_values(evaluation: Evaluation) -> Sums | None:
     )
 
 
-def _predicted(traced: Traced) -> Array:
+def _predicted(traced: TracedReference) -> Array:
     assert traced.predicted is not None
     return traced.predicted
 

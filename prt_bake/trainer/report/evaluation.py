@@ -11,7 +11,15 @@ from bakers.transport import up_to
 from prt_bake.mathematics import directions, sh
 from prt_bake.mathematics.random import uniforms
 from prt_bake.tracer.prepared import PreparedScene
-from prt_bake.trainer.references import FIRST_BATCHES, Estimate, Follow, Predict, Traced, silent, trace_reference
+from prt_bake.trainer.references import (
+    FIRST_BATCHES,
+    Estimate,
+    Follow,
+    Predict,
+    TracedReference,
+    silent,
+    trace_reference,
+)
 from prt_bake.trainer.report.reference import Tracer
 from prt_bake.trainer.samples.queries import Queries, QuerySource
 
@@ -103,10 +111,10 @@ class Evaluation:
 
     queries: Queries
     normals: Array
-    transport: Traced | None
-    coefficients: Traced
+    transport: TracedReference | None
+    coefficients: TracedReference
     views: VertexViews
-    at_views: Traced
+    at_views: TracedReference
 
     @property
     def predicted_at_views(self) -> Array:
@@ -162,7 +170,7 @@ def evaluate(
 
     def traced(
         estimate: Estimate, predict: Predict, many: int, paths: int, share: float, before: float, stream: int
-    ) -> Traced:
+    ) -> TracedReference:
         limit = share * (seconds - (time.perf_counter() - begun)) if np.isfinite(seconds) else seconds
 
         def follow_part(done: float) -> None:
