@@ -261,7 +261,7 @@ def test_a_run_keeps_the_best(best: str, monkeypatch: pytest.MonkeyPatch) -> Non
     plain = network(replace(SETTINGS, low_width=0))
     found = run._with_low_bands(plain)
     assert kind(found) == found.metadata["corrected"] == best
-    assert found.settings.low_width == (0 if best == "none" else 10)
+    assert found.settings.low_width == (0 if best == "none" else SETTINGS.low_width)
     assert found.low is None or found.settings.low_layers == len(found.low.hidden) == (4 if best == "earlier" else 5)
     run.source = SimpleNamespace(traced=None)
     assert run._with_low_bands(plain) is plain
