@@ -92,7 +92,11 @@ def _of_three(attribute: Any, kind: Any) -> np.ndarray:
 @pytest.mark.parametrize("name", TABLE)
 def test_the_table_says_what_is_kept(files: Path, transformed: tuple[Path, Any], name: str) -> None:
     path = transformed[0] / f"{name}.plain.glb"
-    assert READER["check"](path) == TABLE[name]
+    found, _, error = READER["check"](path).partition(" by ")
+    expected, _, stated = TABLE[name].partition(" by ")
+    assert found == expected
+    if stated:  # rounding of coefficients, which the shipped network decides
+        assert float(error) == pytest.approx(float(stated), rel=0.5)
     before, after, number = READER["read"](files / "float.glb")[1], *READER["read"](path)[1:]
     if name != "quantize":  # who keeps a vertex keeps its numbers
         assert np.array_equal(after, before if number is None else before[number])
