@@ -148,11 +148,10 @@ class NeuMIPLearner(Learner):
         assert gradient is not None
         rows = torch.unique(gradient._indices())
         self._touches[rows] += 1
-        if self.settings.average:
-            with torch.no_grad():
-                shares = share_of_average(self.settings, self._touches[rows].double()).float()[:, None]
-                mean = self.model.table[rows]
-                self.model.table[rows] = mean.lerp(self.network.table[rows], shares.expand_as(mean))
+        with torch.no_grad():
+            shares = share_of_average(self.settings, self._touches[rows].double()).float()[:, None]
+            mean = self.model.table[rows]
+            self.model.table[rows] = mean.lerp(self.network.table[rows], shares.expand_as(mean))
         return value
 
     def result(self) -> NeuMIP:

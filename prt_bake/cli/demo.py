@@ -14,7 +14,7 @@ from prt_bake.cli.shared.progress import bake_progress, reporting, stopping
 
 
 def demo(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write to.")] = Path("demo"),
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder to write to.")] = Path("demo"),
     quality: Annotated[
         Literal["quick", "fine"], typer.Option(help="quick: about 2 minutes; fine: smaller errors, larger picture.")
     ] = "quick",

@@ -120,14 +120,14 @@ def error_without_noise(
     """The relative RMSE of a picture [H,W,3] over the object, without the variance of both pictures.
 
     standard_error: of the picture, [H,W,3] or 0. Both the squared error and the mean square of the reference are
-    unbiased. 0 if the variance exceeds the squared error, nan if it exceeds the mean square of the reference.
+    unbiased. nan if the variance exceeds one of them: the error is then unknown.
     """
     values, truth = np.asarray(image, np.float64)[mask], reference.image[mask].astype(np.float64)
     variance = np.broadcast_to(np.asarray(standard_error, np.float64), np.shape(image))[mask] ** 2
     reference_variance = reference.standard_error[mask].astype(np.float64) ** 2
     error = np.mean((values - truth) ** 2 - reference_variance - variance)
     signal = np.mean(truth**2 - reference_variance)
-    return math.sqrt(max(0.0, float(error / signal))) if signal > 0.0 else math.nan
+    return math.sqrt(error / signal) if signal > 0.0 and error >= 0.0 else math.nan
 
 
 def framing(coverage: ArrayLike) -> dict[str, Any]:

@@ -34,8 +34,8 @@ pictures: the error that remains however long one renders.
 rendering times, on {cores} CPU cores here and on a GPU in the paper. MB is the size of the model, with *lobe* and *mis*
 also of the importance module, and for SH of the asset. The paper has one row for Net, repeated beside each of ours.
 
-A dash is a figure that is unknown. SSIM needs pictures of at least 11² pixels, at quarter size of 44². *error* needs a
-reference that is more than noise."""
+A dash is a figure that is unknown. SSIM needs pictures of at least 11² pixels, at quarter size of 44². *error* is known
+if the noise of both pictures does not hide it."""
 
 _COLUMNS = (
     "Scene",

@@ -114,7 +114,7 @@ def box_of(scene: Scene) -> Box:
 def stream_for(device: str, synchronous: bool = True) -> StreamSettings:
     """The renderer's settings for the device that path traces. Synchronous runs are the same on any processor."""
     if device == "cpu":
-        few = StreamSettings(rays="exits")  # also of index-matched scenes, which learn less from values in equal time
+        few = StreamSettings()
         return few if synchronous else replace(few, exits=max(few.exits, _PATHS_A_CORE * available_cores()))
     from prt_bake.trainer.gpu.renderer import GPU_STREAM
 

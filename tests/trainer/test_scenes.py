@@ -67,14 +67,10 @@ EXTREMES = {
 }
 
 
-@pytest.mark.parametrize(
-    ("name", "loss"),
-    [(name, "l2") for name in EXTREMES]
-    + [(name, "relative") for name in ("very dark", "black, smooth", "very forward, rough")],
-)
-def test_extreme_scenes_train_without_nan(tmp_path, name, loss):
+@pytest.mark.parametrize("name", EXTREMES)
+def test_extreme_scenes_train_without_nan(tmp_path, name):
     scene = make_scene(tmp_path, sphere(1), **EXTREMES[name])
-    learning = dataclasses.replace(BRIEF, loss=loss, report_every=0.0)
+    learning = dataclasses.replace(BRIEF, report_every=0.0)
     reports = []
     network = train_small(
         scene,

@@ -48,7 +48,7 @@ def test_the_first_step_begins_with_the_weights_of_the_earlier_network(scene: Sc
     moved = deepcopy(earlier)
     with torch.no_grad():
         moved.output.bias += 5.0
-    begun = train_small(scene, 1, start=moved, learning=replace(LEARNING, average=False))
+    begun = train_small(scene, 1, start=moved)
     assert (begun.output.bias - moved.output.bias).abs().max() < 0.5
     assert not torch.equal(begun.output.bias, moved.output.bias)
     torch.testing.assert_close(moved.output.bias, earlier.output.bias + 5.0)

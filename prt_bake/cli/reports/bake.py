@@ -34,7 +34,9 @@ def bake(
     ] = None,
     side: View = None,
     eye: Eye = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the report.")] = Path("bake-report"),
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for the report.")] = Path(
+        "bake-report"
+    ),
     rings: Annotated[int, typer.Option(min=1, max=1024, help="View bins along the cosine to the normal.")] = 16,
     sectors: Annotated[int, typer.Option(min=1, max=1024, help="View bins around the normal.")] = 64,
     degree: Annotated[int, typer.Option(min=0, max=20, help="Highest SH degree l.")] = 2,

@@ -18,7 +18,9 @@ def bases(
     ],
     mesh: Annotated[Path, typer.Argument(metavar="MESH", help="Mesh of the object.")],
     light: Annotated[list[Path], typer.Option(metavar="SKY", help="Lat-long picture (.exr, .hdr); can be repeated.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the report.")] = Path("bases-report"),
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for the report.")] = Path(
+        "bases-report"
+    ),
     points: Annotated[int, typer.Option(min=8, max=4096, help="Points at which errors are measured.")] = 192,
     size: Annotated[int, typer.Option(min=0, max=512, help="Width and height of the picture; 0: none.")] = 48,
     seed: Seed = 0,

@@ -25,9 +25,9 @@ def paper(
         list[str] | None,
         typer.Option(metavar="SKY", help="outdoor, indoor, or a file; both by default.", show_default=False),
     ] = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of all results, reused by later runs.")] = Path(
-        "paper"
-    ),
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="DIR", help="Folder of all results, reused by later runs.")
+    ] = Path("paper"),
     size: Annotated[int, typer.Option(min=16, max=4096, help="Width and height of the pictures.")] = 512,
     spp: Annotated[int, typer.Option(min=2, help="Samples per pixel of the network's pictures.")] = 256,
     reference_spp: Annotated[

@@ -135,8 +135,7 @@ class GpuLearner(Learner):
         self._loss.copy_(loss.detach())
         faulty = torch.where(losses.detach().isfinite(), _NONE, self._batch.numbers).max()
         self._faulty.copy_(torch.maximum(self._faulty, faulty))
-        if self.settings.average:
-            self._average(self._average_share)
+        self._average(self._average_share)
 
     def _descend(self, loss: Tensor) -> None:
         """As `descend`, without gradients that are not finite."""

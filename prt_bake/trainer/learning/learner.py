@@ -4,7 +4,7 @@ import copy
 import math
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,7 +17,7 @@ from prt_bake.mathematics.sphere import fibonacci
 from prt_bake.network.lobes import Lobes, evaluate_lobes, mean_square
 from prt_bake.network.model import TrainableModel
 from prt_bake.trainer.learning.muon import Muon
-from prt_bake.trainer.learning.objective import LobeTerms, Loss, exit_loss, value_loss
+from prt_bake.trainer.learning.objective import LobeTerms, exit_loss, value_loss
 from prt_bake.trainer.learning.precision import bfloat16_is_faster
 from prt_bake.trainer.samples.rows import (
     BEFORE_RAYS,
@@ -33,8 +33,6 @@ from prt_bake.trainer.samples.rows import (
 _RATE_OF_EARLIER_WEIGHTS = 2e-3
 """A compromise: small changes of a material gain from a lower rate, large ones from this one."""
 
-Schedule = Literal["cosine", "constant", "exponential"]
-
 
 @dataclass(frozen=True)
 class LearningSettings:
@@ -46,9 +44,7 @@ class LearningSettings:
     batch: int = 512
     """Queries per step."""
     rate: float = 4e-3
-    schedule: Schedule = "cosine"
-    """Decay of the rate over the run: along a cosine to zero, none, or exponentially to `last_rate` times the rate."""
-    last_rate: float = 0.01
+    """Learning rate, which falls along a cosine to zero."""
     warm_up: float = 0.02
     """Share of the run over which the rate rises linearly."""
     decay: float = 0.03
@@ -56,13 +52,9 @@ class LearningSettings:
     Hutter 2019, "Decoupled weight decay regularization"."""
     muon: bool = True
     """Whether Muon updates the matrices of the hidden layers (`muon.py`); AdamW updates all other weights."""
-    loss: Loss = "l2"
-    floor: float = 0.01
-    """Added to the denominator of the relative loss so that it stays finite, in squares of the output scale."""
-    average: bool = True
-    """Whether the model has the running average of the weights instead of the last weights."""
     average_length: float = 0.03
-    """Mean age of the averaged weights as a share of the steps so far; 0.5 weights all steps equally."""
+    """Mean age of the weights, whose running average the model has, as a share of the steps so far; 0.5 weights all
+    steps equally."""
     spread: int = 12
     """Uniform directions in which a query of exits is also evaluated: a randomly rotated lattice."""
     coarse_steps: int = 300
@@ -82,12 +74,8 @@ class LearningSettings:
         valid = {
             "batch": (self.batch >= 1, "1 or more"),
             "rate": (self.rate > 0.0, "a number above 0"),
-            "schedule": (self.schedule in get_args(Schedule), "cosine, constant or exponential"),
-            "last_rate": (0.0 < self.last_rate <= 1.0, "above 0 and at most 1"),
             "warm_up": (0.0 <= self.warm_up <= 1.0, "0 to 1"),
             "decay": (self.decay >= 0.0, "0 or more"),
-            "loss": (self.loss in get_args(Loss), "l2 or relative"),
-            "floor": (self.floor > 0.0, "a number above 0"),
             "average_length": (0.0 < self.average_length <= 0.5, "above 0 and at most 0.5"),
             "spread": (self.spread >= 1, "1 or more"),
             "coarse_steps": (self.coarse_steps >= 0, "0 or more"),
@@ -109,13 +97,7 @@ def learning_rate(settings: LearningSettings, share: float) -> float:
     """The learning rate after `share` of the run."""
     share = min(1.0, share)
     rise = min(1.0, (share + 1e-4) / max(settings.warm_up, 1e-4))
-    if settings.schedule == "constant":
-        fall = 1.0
-    elif settings.schedule == "exponential":
-        fall = settings.last_rate**share
-    else:
-        fall = 0.5 * (1.0 + math.cos(math.pi * share))
-    return settings.rate * rise * fall
+    return settings.rate * rise * 0.5 * (1.0 + math.cos(math.pi * share))
 
 
 def optimizers_of(layers: nn.Module, settings: LearningSettings) -> list[torch.optim.Optimizer]:
@@ -155,7 +137,7 @@ class Learner:
 
     Attributes:
         network: has the last weights.
-        model: has the weights of the model, their running average unless `settings.average` is off.
+        model: has the running average of the weights.
         step: optimiser steps so far.
         bfloat16: whether matrix products are in bfloat16.
     """
@@ -163,7 +145,7 @@ class Learner:
     def __init__(self, network: TrainableModel, settings: LearningSettings) -> None:
         """Learn on the network's device."""
         self.network, self.settings = network, settings
-        self.model = copy.deepcopy(network) if settings.average else network
+        self.model = copy.deepcopy(network)
         self.optimizers = self._optimizers()
         self.step = 0
         self._device = network.box_min.device
@@ -197,8 +179,7 @@ class Learner:
             raise QueryError(self._error(source, batch, losses.detach().cpu().numpy(), value))
         descend(loss, self.optimizers)
         self.step += 1
-        if self.settings.average:
-            self._average(share_of_average(self.settings, self.step))
+        self._average(share_of_average(self.settings, self.step))
         return value
 
     def result(self) -> TrainableModel:
@@ -224,7 +205,7 @@ class Learner:
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from `state`."""
         self.network.load_state_dict(state["network"])
-        self.model.load_state_dict(state["average"] if self.settings.average else state["network"])
+        self.model.load_state_dict(state["average"])
         for optimizer, values in zip(self.optimizers, state["optimizers"], strict=True):
             optimizer.load_state_dict(values)
         for group in self._groups():
@@ -248,7 +229,7 @@ class Learner:
         rays = rays_of(rows)
         predicted, _lobes = self._predict(rays[..., INCIDENT], rows, encoding)
         values = rays[..., CHANNELS] / self.network.output_scale
-        return value_loss(predicted, values, self.settings.loss, self.settings.floor)
+        return value_loss(predicted, values)
 
     def _exit_losses(self, rows: Tensor, generator: np.random.Generator, encoding: Any) -> Tensor:
         rays, count = rays_of(rows), self.settings.spread
@@ -259,12 +240,11 @@ class Learner:
 
     def _losses_of_exits(self, rows: Tensor, rays: Tensor, uniform: Tensor, encoding: Any) -> Tensor:
         """Losses [Q] of rows from rays [Q,P,6] and uniform directions [Q,S,3]."""
-        settings = self.settings
         predicted, lobes = self._predict(torch.cat((rays[..., INCIDENT], uniform), dim=1), rows, encoding)
         throughput = rays[..., CHANNELS] / self.network.output_scale
         walks = rays.shape[1]
         terms = None if lobes is None else LobeTerms(evaluate_lobes(lobes, uniform), mean_square(lobes))
-        return exit_loss(predicted[:, :walks], throughput, predicted[:, walks:], settings.loss, settings.floor, terms)
+        return exit_loss(predicted[:, :walks], throughput, predicted[:, walks:], terms)
 
     def _predict(self, incident: Tensor, rows: Tensor, encoding: Any) -> tuple[Tensor, Lobes | None]:
         """The network's float32 values [Q,D,3] for incident [Q,D,3] over its output scale, and their lobes."""

@@ -4,18 +4,13 @@ Both losses estimate the squared distance over all queries and directions, in un
 loss of values is the mean of (f − Ŝ)². The loss of exits uses that the exit of a walk with throughput T is a sample of
 Ŝ, E[T · f(ω_exit)] = ∫ Ŝ f dω: up to the constant ∫ Ŝ² it is ∫ f² dω − 2 E[T · f(ω_exit)], with the first term
 estimated in uniform directions. Divided by 4π, it is a mean over the sphere like the loss of values.
-
-The relative form weights each direction by 1 / (m² + floor), where m is the network's value, averaged over channels
-and detached from the gradient (Müller et al. 2021, "Real-time neural radiance caching", section 4.3).
 """
 
 import math
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
-
-Loss = Literal["l2", "relative"]
 
 _SPHERE = 4.0 * math.pi
 
@@ -27,25 +22,22 @@ class LobeTerms(NamedTuple):
     mean_square: Tensor
 
 
-def value_loss(predicted: Tensor, value: Tensor, loss: Loss, floor: float) -> Tensor:
+def value_loss(predicted: Tensor, value: Tensor) -> Tensor:
     """Loss [Q] of each query from predictions [Q,D,3] and values [Q,D,3], both over the output scale."""
-    return torch.mean(torch.mean((predicted - value) ** 2, dim=-1) * _weight(predicted, loss, floor), dim=-1)
+    return torch.mean((predicted - value) ** 2, dim=(1, 2))
 
 
-def exit_loss(
-    predicted: Tensor, throughput: Tensor, uniform: Tensor, loss: Loss, floor: float, lobes: LobeTerms | None = None
-) -> Tensor:
+def exit_loss(predicted: Tensor, throughput: Tensor, uniform: Tensor, lobes: LobeTerms | None = None) -> Tensor:
     """Loss [Q] of each query from the exits of P walks; its expectation is the squared distance less a constant.
 
     predicted [Q,P,3] are the network's values in the exits' directions, throughput [Q,P,3] the walks', uniform [Q,S,3]
-    the network's values in S uniform directions, all over the output scale. With `lobes` (loss "l2" only) the mean
-    square of narrow lobes is exact: estimated from S directions it would be most of the loss's noise.
+    the network's values in S uniform directions, all over the output scale. With `lobes` the mean square of narrow
+    lobes is exact: estimated from S directions it would be most of the loss's noise.
     """
-    squares = torch.mean(torch.mean(uniform**2, dim=-1) * _weight(uniform, loss, floor), dim=-1)
-    if lobes is not None and loss == "l2":
+    squares = torch.mean(uniform**2, dim=(1, 2))
+    if lobes is not None:
         squares = squares + torch.mean(lobes.mean_square - torch.mean(lobes.uniform**2, dim=1), dim=-1)
-    products = torch.mean(torch.mean(throughput * predicted, dim=-1) * _weight(predicted, loss, floor), dim=-1)
-    return squares - (2.0 / _SPHERE) * products
+    return squares - (2.0 / _SPHERE) * torch.mean(throughput * predicted, dim=(1, 2))
 
 
 def low_loss(coefficients: Tensor, estimates: Tensor) -> Tensor:
@@ -55,9 +47,3 @@ def low_loss(coefficients: Tensor, estimates: Tensor) -> Tensor:
     plus a constant, the walks' noise.
     """
     return torch.sum(torch.mean((coefficients - estimates) ** 2, dim=-1), dim=-1) / _SPHERE
-
-
-def _weight(predicted: Tensor, loss: Loss, floor: float) -> Tensor:
-    if loss == "l2":
-        return torch.ones((), dtype=predicted.dtype, device=predicted.device)
-    return 1.0 / (predicted.detach().mean(dim=-1) ** 2 + floor)

@@ -7,7 +7,8 @@ that was absorbed or that crossed unscattered, since that light is not part of Å
 
 Behind a smooth interface there are only exits. Behind a rough interface both exist and exits are better: a connection
 through the interface costs as much as ten walks, and at equal time the coefficients from exits have less than half the
-variance (`tests/bench/noise_of_a_walk.py`). If the boundary does not bend light, connections are ten times better.
+variance (`tests/bench/noise_of_a_walk.py`). If the boundary does not bend light, connections are ten times better, but
+exits still leave less error in equal time: low bands learn from exits alone (`docs/measurements/low_bands.md`).
 """
 
 from dataclasses import dataclass, fields
@@ -22,7 +23,7 @@ from prt_bake.geometry.surface import Location
 from prt_bake.jit.threads import in_threads
 from prt_bake.mathematics.moments import SUMS, from_sums
 from prt_bake.tracer.light_samples import Exits
-from prt_bake.tracer.prepared import PreparedScene, is_unrefracted, prepare, smooth_part
+from prt_bake.tracer.prepared import PreparedScene, prepare, smooth_part
 from prt_bake.trainer.samples.queries import EDGE_SHARE, Queries, QuerySource
 
 if TYPE_CHECKING:
@@ -60,8 +61,8 @@ class StreamSettings:
     """
 
     queries_a_batch: int = 4096
-    rays: Literal["auto", "values", "exits"] = "auto"
-    """Kind of the rays. auto: values if the object's boundary does not bend light, else exits."""
+    rays: Literal["exits", "values"] = "exits"
+    """Kind of the rays."""
     directions: int = 8
     """Directions of incidence per query, for values."""
     connections: int = 8
@@ -92,8 +93,8 @@ class StreamSettings:
         for name in ("face_share", "edge_share"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise QueryError(f"stream settings: {name} must be 0 to 1, found {getattr(self, name)}")
-        if self.rays not in ("auto", "values", "exits"):
-            raise QueryError(f"stream settings: rays must be auto, values or exits, found {self.rays!r}")
+        if self.rays not in ("exits", "values"):
+            raise QueryError(f"stream settings: rays must be exits or values, found {self.rays!r}")
 
 
 class Box(NamedTuple):
@@ -218,14 +219,14 @@ class ExitTracer:
 
 def row_tracer(scene: Scene, box: Box, settings: StreamSettings, seed: int) -> ValueTracer | ExitTracer:
     """The tracer of the rays that `settings` choose; raises QueryError for values behind a smooth interface."""
-    smooth = smooth_part(scene)
-    if settings.rays == "values" and smooth is not None:
+    if settings.rays == "exits":
+        return ExitTracer(prepare(scene), box, settings, seed)
+    if smooth := smooth_part(scene):
         raise QueryError(
             f"{scene.path}: the boundary of '{smooth.name}' is smooth, and Åœ has no values in given directions behind "
             "it; use rays='exits'"
         )
-    values = settings.rays == "values" or (settings.rays == "auto" and is_unrefracted(scene))
-    return (ValueTracer if values else ExitTracer)(prepare(scene), box, settings, seed)
+    return ValueTracer(prepare(scene), box, settings, seed)
 
 
 def build_batch(

@@ -149,7 +149,7 @@ def test_weights_without_gradient_decay_as_for_several_passes() -> None:
     dark = traced.joined()
     assert dark is not None
     before = [weights.detach().clone() for weights in made.low.parameters()]
-    learning = LearningSettings(rate=0.1, schedule="constant", warm_up=0.0, decay=0.9)
+    learning = LearningSettings(rate=0.1, warm_up=0.0, decay=0.9)
     fit_low_bands(made, dark, learning, 0, 0, steps=1)
     for weights, earlier in zip(made.low.parameters(), before, strict=True):
         torch.testing.assert_close(weights, earlier * (1.0 - 0.1 * 0.15))
