@@ -18,7 +18,7 @@ from prt_bake.baselines.neumip_settings import NeuMIPSettings
 from prt_bake.baselines.texture_space import Array, Coverage, cover, dilate
 from prt_bake.baselines.unwrapping import texture_coordinates
 from prt_bake.network.model import TrainableModel
-from prt_bake.tracer.prepared import smooth_part
+from prt_bake.tracer.prepared import no_values_reason
 from prt_bake.trainer.fit import metadata_of
 from prt_bake.trainer.learning.learner import Learner, LearningSettings, share_of_average
 from prt_bake.trainer.samples.rows import CHANNELS, INCIDENT, Batch, RowSource, StreamSettings, rays_of
@@ -74,10 +74,10 @@ def train_neumip(
     refuse_path("scene", scene, "prt.load_scene")
     if device != "cpu":
         raise QueryError(f"NeuMIP: learns on the processor only; expected device 'cpu', found {device!r}")
-    if own_loss and (smooth := smooth_part(scene)) is not None:
+    if own_loss and (reason := no_values_reason(scene)):
         raise QueryError(
-            f"{scene.path}: the boundary of '{smooth.name}' is smooth, and Ŝ has no values behind it, which the loss "
-            "of neumip-log needs; train the baseline neumip"
+            f"{scene.path}: {reason}; Ŝ has no values there, which the loss of neumip-log needs; train the baseline "
+            "neumip"
         )
     chosen, report = settings or NeuMIPSettings(levels=levels, seed=seed), say or (lambda sentence: None)
     corner_uv = texture_coordinates(scene.mesh, chosen.texels, report)

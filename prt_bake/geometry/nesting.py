@@ -60,14 +60,16 @@ def refuse_outside(parts: tuple[Part, ...]) -> None:
 def reaches_surface(mesh: Mesh, outer: Mesh) -> bool:
     """Whether a part reaches the surface of the mesh that contains it, or sticks out of it.
 
-    Tests points just in front of its faces and of its vertices, of large meshes a sample.
+    Tests points just in front of its faces and of its vertices, and the vertices of the outer mesh, of large meshes a
+    sample.
     """
     step = _BEHIND * mesh.diagonal
     every = max(1, -(-len(mesh.faces) * len(outer.faces) // _MOST_PAIRS))
     before_faces = mesh.positions[mesh.faces].mean(axis=1) + step * mesh.face_normals
     before_vertices = mesh.positions + step * mesh.normals
     points = np.concatenate([before_faces[::every], before_vertices[::every]])
-    return bool((winding_numbers(outer, points) < 0.5).any())
+    dents = _sample(outer, mesh)
+    return bool((winding_numbers(outer, points) < 0.5).any() or (winding_numbers(mesh, dents) > 0.5).any())
 
 
 def _reaches_into(mesh: Mesh, other: Mesh) -> bool:

@@ -42,6 +42,15 @@ class Interval:
         value, low, high = (np.nan if (part := values[name]) is None else part for name in ("value", "low", "high"))
         return cls(value, low, high)
 
+    @property
+    def is_bound(self) -> bool:
+        """Whether the value is only the upper end of the interval, because noise hides what it is."""
+        return self.low == 0.0 < self.value == self.high
+
+    def or_bound(self) -> "Interval":
+        """The same, with the upper end as value if the value is 0."""
+        return Interval(self.high, 0.0, self.high) if self.value == 0.0 < self.high else self
+
     def within(self, bound: float) -> str:
         """Whether |truth| is at most `bound`: "met", "not met", or "undecided" if the interval contains both cases."""
         largest = max(abs(self.low), abs(self.high))

@@ -10,7 +10,7 @@ from prt_bake.network.bssrdf import PRESETS, NetworkSettings
 from prt_bake.paper.artefacts import Artefacts
 from prt_bake.paper.models import train_once
 from prt_bake.paper.results import as_number
-from prt_bake.tracer.prepared import smooth_part
+from prt_bake.tracer.prepared import no_values_reason
 
 LAYERS = (3, 4, 5, 6, 7)
 _STANDARD = "7"
@@ -62,11 +62,9 @@ def ablation(
 
 def refuse_without_values(scene: Scene) -> None:
     """Raise QueryError for a scene in which Ŝ has no values to compare."""
-    smooth = smooth_part(scene)
-    if smooth is not None:
+    if reason := no_values_reason(scene):
         raise QueryError(
-            f"{scene.path}: --layers compares errors of Ŝ, which has no values behind the smooth interface of "
-            f"'{smooth.name}'; choose another --scene"
+            f"{scene.path}: {reason}; Ŝ has no values there whose errors --layers could compare; choose another --scene"
         )
 
 

@@ -27,7 +27,7 @@ from prt_bake.rendering.loop import (
 from prt_bake.rendering.passes import PassTracer
 from prt_bake.rendering.surface_reflection import SurfaceReflection, reflection_identity
 from prt_bake.rendering.walks import Shown, WalkTracer
-from prt_bake.tracer.prepared import has_unscattered, smooth_part
+from prt_bake.tracer.prepared import has_unscattered, no_values_reason
 
 __all__ = ["Rendering", "render_scene"]
 
@@ -131,9 +131,8 @@ def render_scene(
 
 
 def _refuse_hidden_suns(scene: Scene, lighting: Lighting) -> None:
-    smooth = smooth_part(scene)
-    if smooth is not None and any(sun.angular_diameter == 0.0 for sun in lighting.suns):
+    if (reason := no_values_reason(scene)) and any(sun.angular_diameter == 0.0 for sun in lighting.suns):
         raise QueryError(
-            f"{scene.path}: behind the smooth interface of '{smooth.name}' paths cannot hit a directional light "
-            "without size; give the light an angular diameter (the sun's is 0.53 degrees), or make the interface rough"
+            f"{scene.path}: {reason}; paths cannot hit a directional light without size there; give the light an "
+            "angular diameter (the sun's is 0.53 degrees)"
         )

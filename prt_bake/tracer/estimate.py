@@ -25,9 +25,9 @@ from prt_bake.tracer.prepared import (
     KernelQueries,
     PreparedScene,
     has_dielectric_inside,
+    no_values_reason,
     prepare,
     rough_parts,
-    smooth_part,
 )
 from prt_bake.tracer.surface.boundary import SMOOTHEST
 from prt_bake.tracer.volume.media import PHASE_G
@@ -119,11 +119,10 @@ def estimate_transport(
     (1, 3)
     """
     prepared = prepare(scene)
-    smooth = smooth_part(scene)
-    if smooth is not None:
+    if reason := no_values_reason(scene):
         raise QueryError(
-            f"{scene.path}: the boundary of '{smooth.name}' is a smooth interface, through which no event can connect "
-            "to a given direction of incidence; use estimate_coefficients, or give the interface a roughness"
+            f"{scene.path}: {reason}; no event can connect to a given direction of incidence there; use "
+            "estimate_coefficients"
         )
     directions = _directions(incident, "incident")
     single = directions.ndim == 2

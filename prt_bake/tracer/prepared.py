@@ -152,6 +152,16 @@ def smooth_part(scene: Scene) -> Part | None:
     return None
 
 
+def no_values_reason(scene: Scene) -> str:
+    """Why Ŝ has no values in given directions, as a clause for messages; empty if it has."""
+    part = smooth_part(scene)
+    if part is None:
+        return ""
+    if interface_kind(scene) == ROUGH:
+        return f"'{part.name}' has index 1 and reaches the surface, so light passes straight through it"
+    return f"the interface of '{part.name}' is smooth"
+
+
 def _opens(part: Part, outermost: Part) -> bool:
     """Whether an inner part of index 1 reaches the object's surface, where nothing refracts light then."""
     return part.diffuse is None and _kind(part, 1.0) == MATCHED and reaches_surface(part.mesh, outermost.mesh)

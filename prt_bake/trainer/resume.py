@@ -27,7 +27,10 @@ def write_state(output: str | Path, state: dict[str, Any]) -> None:
     with replacing(path) as part:
         try:
             torch.save({"version": _VERSION, **state}, part)
-        except RuntimeError as fault:  # torch's own writer, which says no more of a full disk
+        except RuntimeError as fault:
+            if not any(words in str(fault) for words in ("PytorchStreamWriter", "unexpected pos")):
+                raise
+            # What torch's own writer says of a full disk.
             raise StorageError(
                 f"{path}: the checkpoint cannot be written, perhaps because the disk is full; free some space or "
                 "write elsewhere"

@@ -75,7 +75,9 @@ class Run:
         self.low = getattr(model, "low", None)
         """The low bands before they are fitted, which the model lacks until then."""
         self.earlier_low = getattr(fit, "earlier_low", None)
-        """Low bands of the network to start from, or of the run that is resumed, which stay if they have less error."""
+        """Low bands of the network to start from, or of the run that is resumed, which stay if they have less error.
+
+        A run that learns from values has none."""
         self.earlier_correction = getattr(fit, "earlier_correction", None)
         """The correction of the values that belongs to them."""
         self.fitted_low: LowBands | None = None

@@ -109,8 +109,11 @@ def train(
         raise QueryError(f"start: expected a neural BSSRDF, found {type(start).__name__}; train without it")
     if only_low_bands and start is None:
         raise QueryError("only_low_bands: needs start, a network whose other layers are kept")
-    if only_low_bands and (samples is not None or (stream is not None and stream.rays == "values")):
+    values = samples is not None or (stream is not None and stream.rays == "values")
+    if only_low_bands and values:
         raise QueryError("only_low_bands: low bands learn from exits of paths; train without samples, or with exits")
+    if values and start is not None and start.low is not None and say is not None:
+        say("the model will have no low bands, which learn from exits of paths alone; its bakes take longer")
     chosen = settings or replace(PRESETS["measured"], seed=seed if start is None else start.settings.seed)
 
     def fit(data: TrainingData, device: str) -> NetworkFit:
@@ -204,13 +207,12 @@ def train_model(
                 renderer = replace(renderer, exits=walks, least_exits=walks)
             data = PathTracedData(scene, renderer, seed, synchronous, walking)
         run = Run(data, make(data, chosen), learning or learning_for(data, started), seed, request, resume)
-        if resume and run.nothing_left():
+        if resume and run.nothing_left() and (finished := _finished(output, scene)) is not None:
             report(
                 f"{output}: nothing is left to learn: it already had {run.learner.step} steps in "
                 f"{run.seconds / 60.0:.3g} minutes of learning, which the requested length includes; request more"
             )
-            if (finished := _finished(output, scene)) is not None:
-                return finished
+            return finished
         report(f"learning; the validation error is that of {QUANTITIES[run.reference.quantity]}")
         run.learn()
         return run.finish()

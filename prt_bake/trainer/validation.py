@@ -291,7 +291,7 @@ def final_errors(
     traced = _traced_coefficients(scene, queries, 8 * walks, FINAL_SEED, device, left, follow_coefficients, network)[1]
     error, of_values = _known_error(traced), None if values is None else _known_error(values)
     return FinalErrors(
-        transport=None if of_values is None else of_values.value,
+        transport=None if of_values is None or of_values.is_bound else of_values.value,
         transport_noise=None if values is None else _noise_of(values),
         coefficients=None if error is None else error.value,
         coefficients_interval=None if error is None or np.isnan(error.low) else [error.low, error.high],
@@ -304,9 +304,10 @@ def final_errors(
 def _known_error(traced: TracedReference) -> Interval | None:
     """The error of the predictions; the upper end of its interval if noise hides the rest, None without one."""
     error = relative_rmse(traced.errors(), FINAL_SEED) if _noise_of(traced) < _ONLY_NOISE else None
-    if error is None or error.value > 0.0:
-        return error
-    return Interval(error.high, 0.0, error.high) if error.high > 0.0 else None
+    if error is None:
+        return None
+    error = error.or_bound()
+    return error if error.value > 0.0 else None
 
 
 def _noise_of(traced: TracedReference) -> float:

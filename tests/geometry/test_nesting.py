@@ -7,7 +7,7 @@ import trimesh
 from formats.errors import SceneError
 from formats.mesh import build_mesh, flipped, write_mesh
 from formats.scene import read_scene
-from prt_bake.geometry.nesting import distances, refuse_outside, winding_numbers
+from prt_bake.geometry.nesting import distances, reaches_surface, refuse_outside, winding_numbers
 from prt_bake.inspection.files import describe, find_faults, find_remarks
 from prt_bake.tracer.prepared import prepare
 from tests.tracer.scenes import moved, sphere, unit_directions
@@ -31,6 +31,17 @@ def test_distances_to_a_box_follow_its_formula(box):
     outside = np.linalg.norm(np.maximum(outwards, 0), axis=1)
     expected = np.where(outside > 0, outside, -outwards.max(axis=1))
     np.testing.assert_allclose(distances(box, points), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(("depth", "reaches"), [(0.0, False), (0.4, False), (0.6, True)])
+def test_a_dent_reaches_a_box_between_its_vertices_and_centroids(depth: float, reaches: bool) -> None:
+    """It is narrow, and off the points of the inner box's upper face, which is 0.5 below that of the outer box."""
+    solid = trimesh.creation.box(extents=(2, 2, 2)).subdivide().subdivide().subdivide()
+    positions = np.array(solid.vertices)
+    positions[np.argmin(np.linalg.norm(positions - [0.25, 0.25, 1.0], axis=1)), 2] -= depth
+    outer = build_mesh(positions, np.asarray(solid.faces))
+    inner = trimesh.creation.box(extents=(1, 1, 1))
+    assert reaches_surface(build_mesh(np.asarray(inner.vertices), np.asarray(inner.faces)), outer) == reaches
 
 
 def write_pair(folder, radius, offset):

@@ -257,7 +257,7 @@ def test_the_depth_ablation_is_relative_to_seven_layers_and_kept(
 def test_the_depth_ablation_refuses_scenes_without_values_of_the_transport(prtbake: Run) -> None:
     outcome = prtbake("report", "paper", "--layers", "--scene", "dragon", "--scene", "drink", "--out", "new")
     assert outcome.code == 1
-    assert "drink.toml: --layers compares errors of Ŝ, which has no values behind the smooth interface" in outcome.err
+    assert "is smooth; Ŝ has no values there whose errors --layers could compare" in outcome.err
     assert not list(Path().glob("new/*"))
 
 

@@ -19,7 +19,7 @@ def test_a_model_was_trained_on_its_scene(paper: PaperScene) -> None:
     scene = read_scene(SCENES_FOLDER / paper.files[-1])
     metadata = load_model(path).metadata
     assert metadata["scene_hash"] == scene.content_hash
-    assert path.stat().st_size <= 1.3 * 2**20
+    assert path.stat().st_size <= 1416 * 1024
 
 
 @pytest.mark.parametrize("paper", SCENES, ids=lambda paper: paper.name)

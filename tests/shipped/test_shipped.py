@@ -29,7 +29,7 @@ def test_the_model_was_trained_on_the_shipped_scene():
     scene = read_scene(demonstration.SHIPPED / "spot.toml")
     assert network.metadata["scene_hash"] == scene.content_hash
     assert network.metadata["training"]["relative_rmse"]["coefficients"] < 0.05
-    assert demonstration.MODEL.stat().st_size <= 1.3 * 2**20  # the most that a network may have, with its grids
+    assert demonstration.MODEL.stat().st_size <= 1416 * 1024  # the most that a network may have, with its grids
 
 
 def test_the_reference_has_the_size_and_noise_of_its_report():

@@ -199,7 +199,7 @@ class TestRefusedArguments:
     def test_smooth_interface_has_no_point_values(self, tmp_path):
         scene = make_scene(tmp_path, sphere(2), eta=1.4)
         positions, outgoing, _ = queries(scene.mesh, 4, seed=1)
-        with pytest.raises(QueryError, match="smooth interface"):
+        with pytest.raises(QueryError, match="is smooth; no event can connect"):
             estimate_transport(scene, positions, outgoing, outgoing, paths=10)
         assert np.isfinite(estimate_coefficients(scene, positions, outgoing, paths=10).mean).all()
 

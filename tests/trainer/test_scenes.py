@@ -67,8 +67,11 @@ EXTREMES = {
 }
 
 
-@pytest.mark.parametrize("name", EXTREMES)
-def test_extreme_scenes_train_without_nan(tmp_path, name):
+@pytest.mark.parametrize(
+    ("name", "rays"),
+    [(name, "exits") for name in EXTREMES] + [(name, "values") for name in ("very dark", "very thin", "very forward")],
+)
+def test_extreme_scenes_train_without_nan(tmp_path, name, rays):
     scene = make_scene(tmp_path, sphere(1), **EXTREMES[name])
     learning = dataclasses.replace(BRIEF, report_every=0.0)
     reports = []
@@ -77,7 +80,7 @@ def test_extreme_scenes_train_without_nan(tmp_path, name):
         12,
         synchronous=True,
         learning=learning,
-        stream=StreamSettings(queries_a_batch=128),
+        stream=StreamSettings(queries_a_batch=128, rays=rays),
         progress=reports.append,
         output=tmp_path / "m.pt",
     )

@@ -23,14 +23,12 @@ def write_olat(scene_path: Path, folder: Path, settings: "OlatSettings", skies: 
     from prt_bake.olat.description import NAME
     from prt_bake.olat.render import OlatSet
     from prt_bake.shipped.examples import example
-    from prt_bake.tracer.prepared import smooth_part
+    from prt_bake.tracer.prepared import no_values_reason
 
     scene = read_scene(scene_path)
-    smooth = smooth_part(scene)
-    if smooth is not None and settings.light_diameter == 0.0:
+    if settings.light_diameter == 0.0 and (reason := no_values_reason(scene)):
         raise QueryError(
-            f"{scene_path}: paths through the smooth interface of '{smooth.name}' cannot hit a light without size; add "
-            "--light-diameter 10 (degrees)"
+            f"{scene_path}: {reason}; paths cannot hit a light without size there; add --light-diameter 10 (degrees)"
         )
     olat = OlatSet(scene, folder, settings, skies or [example("sky.hdr")])
     if not dry_run:

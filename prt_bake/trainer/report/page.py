@@ -6,7 +6,7 @@ from typing import Any
 
 from formats.atomic import replacing
 from formats.json_report import as_text
-from prt_bake.trainer.report.picture import sun_text
+from prt_bake.trainer.report.picture import error_is_known, sun_text
 from prt_bake.trainer.report.plots import draw
 
 _STYLE = """
@@ -147,6 +147,7 @@ def _picture(part: dict[str, Any]) -> str:
         f'<img src="data:image/webp;base64,{part["webp"]}" width="{3 * part["size"]}" height="{part["size"]}" '
         "alt=\"The network's picture, the path tracer's picture and the FLIP map\">"
     )
+    error = f"{part['error']:.2%}" if error_is_known(part) else "hidden by noise"
     return _section(
         f"A picture, sun {sun_text(part)}",
         strip,
@@ -158,7 +159,7 @@ def _picture(part: dict[str, Any]) -> str:
             [
                 ["mean FLIP of the picture", *_flips(part)],
                 ["mean FLIP of the object's pixels", *_flips(part["on_object"])],
-                ["relative RMSE of the object's radiance", "", f"{part['error']:.2%}", f"{part['noise']:.2%}"],
+                ["relative RMSE of the object's radiance", "", error, f"{part['noise']:.2%}"],
             ],
         ),
     )

@@ -138,11 +138,20 @@ def picture_criterion(entry: dict[str, Any]) -> dict[str, Any]:
 
 def picture_summary(entry: dict[str, Any]) -> str:
     """The picture's figures as a sentence."""
+    if error_is_known(entry):
+        error = f"{entry['error']:.1%}, the reference's noise ({entry['noise']:.1%}) subtracted"
+    else:
+        error = f"unknown: noise ({entry['noise']:.1%} in the reference) hides it"
     return (
-        f"A picture under {entry['light']}: the network's relative RMSE is {entry['error']:.1%}, the reference's noise "
-        f"({entry['noise']:.1%}) subtracted; mean FLIP is {entry['flip']:.3f} ({entry['on_object']['flip']:.3f} on the "
-        f"object alone), and {entry['flip_of_noise']:.3f} ({entry['on_object']['flip_of_noise']:.3f}) for noise alone."
+        f"A picture under {entry['light']}: the network's relative RMSE is {error}; mean FLIP is {entry['flip']:.3f} "
+        f"({entry['on_object']['flip']:.3f} on the object alone), and {entry['flip_of_noise']:.3f} "
+        f"({entry['on_object']['flip_of_noise']:.3f}) for noise alone."
     )
+
+
+def error_is_known(entry: dict[str, Any]) -> bool:
+    """Whether the picture's noise does not hide its error, which is NaN otherwise, and None in a file."""
+    return entry["error"] is not None and not math.isnan(entry["error"])
 
 
 def sun_text(entry: dict[str, Any]) -> str:

@@ -11,7 +11,7 @@ LEVELS = (
     (0.20, "good for a first look"),
     (math.inf, "a rough impression"),
 )
-"""Largest relative RMSE of a_lm for each use: pictures under a sky are off by about half of it."""
+"""Largest relative RMSE of a_lm for each use: pictures under a sky are off by half of it to all of it."""
 _EXPONENT, _LATE_EXPONENT = 0.2, 0.15
 """The error falls as minutes to the minus this power, first and after `_MANY` (docs/measurements/low_bands.md)."""
 _MANY = 5e7
@@ -38,11 +38,11 @@ def quality(error: Interval, minutes: float, walks: float, kind: str = "") -> st
     name = "network" if kind in ("", NEURAL_BSSRDF) else "model"
     if not math.isfinite(error.value):
         return f"the error of the {name} is unknown: the noise of its reference hides it"
+    error = error.or_bound()
     interval = "" if not math.isfinite(error.low) else f" ({100 * error.low:.1f} to {100 * error.high:.1f})"
     use, worst = _use(error.value), _use(error.high)
     doubt = f" (at the upper end of this range only {worst})" if worst not in ("", use) else ""
-    outlook = _outlook(error.value, minutes, walks, kind)
-    most = "at most " if error.low == 0.0 < error.value == error.high else ""
+    most, outlook = ("at most ", "") if error.is_bound else ("", _outlook(error.value, minutes, walks, kind))
     return f"the {name} is {most}{100 * error.value:.1f} % off{interval}: {use}{doubt}{outlook}"
 
 

@@ -89,7 +89,7 @@ def sentences(found: dict[str, Any]) -> list[str]:
     if found["transport"] is not None:
         summary.append(f"Relative RMSE of Ŝ on fresh queries: {_error_text(found['transport'])}")
     else:
-        summary.append("Ŝ has no values behind a smooth interface; only the coefficients are assessed.")
+        summary.append("Ŝ has no values in this scene; only the coefficients are assessed.")
     coefficients = found["coefficients"]
     text = _error_text(coefficients["surface"])
     if _ends_better(found):
@@ -124,9 +124,10 @@ def surface_error(found: dict[str, Any]) -> Interval:
 
 
 def _ends_better(found: dict[str, Any]) -> bool:
-    final = found["model"]["final_errors"]
-    known = np.isfinite(final_error(final).value)
-    return bool(known and final.get("queries", 0) >= found["coefficients"]["surface"]["of"])
+    errors = found["model"]["final_errors"]
+    final = final_error(errors)
+    known = np.isfinite(final.value) and not final.is_bound
+    return bool(known and errors.get("queries", 0) >= found["coefficients"]["surface"]["of"])
 
 
 def final_error(errors: dict[str, Any] | None) -> Interval:

@@ -12,7 +12,7 @@ from formats.samples import SamplesHead
 from formats.samples.writer import SamplesWriter
 from formats.scene import Scene
 from prt_bake.mathematics.random import hashed
-from prt_bake.tracer.prepared import prepare, smooth_part
+from prt_bake.tracer.prepared import no_values_reason, prepare
 from prt_bake.trainer.samples.queries import QuerySource
 from prt_bake.trainer.samples.rows import StreamSettings, query_description, trace_values
 
@@ -46,11 +46,10 @@ def record_samples(
     estimate needs two walks); StorageError if the file cannot be written; SamplesError if an estimate is not finite,
     naming the query (the queries before it are kept).
     """
-    smooth = smooth_part(scene)
-    if smooth is not None:
+    if reason := no_values_reason(scene):
         raise SceneError(
-            f"{scene.path}: the boundary of '{smooth.name}' is smooth: Ŝ has no values there that a file could store; "
-            "train on the scene itself, which learns from the exits of paths, or give it a roughness such as 0.05"
+            f"{scene.path}: {reason}; Ŝ has no values there that a file could store; train on the scene itself, which "
+            "learns from the exits of paths"
         )
     for name, value, least in (("count", count, 1), ("walks", walks, 2), ("directions", directions, 1)):
         if value < least:

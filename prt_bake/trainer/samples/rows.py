@@ -23,7 +23,7 @@ from prt_bake.geometry.surface import Location
 from prt_bake.jit.threads import in_threads
 from prt_bake.mathematics.moments import SUMS, from_sums
 from prt_bake.tracer.light_samples import Exits
-from prt_bake.tracer.prepared import PreparedScene, prepare, smooth_part
+from prt_bake.tracer.prepared import PreparedScene, no_values_reason, prepare
 from prt_bake.trainer.samples.queries import EDGE_SHARE, Queries, QuerySource
 
 if TYPE_CHECKING:
@@ -221,11 +221,8 @@ def row_tracer(scene: Scene, box: Box, settings: StreamSettings, seed: int) -> V
     """The tracer of the rays that `settings` choose; raises QueryError for values behind a smooth interface."""
     if settings.rays == "exits":
         return ExitTracer(prepare(scene), box, settings, seed)
-    if smooth := smooth_part(scene):
-        raise QueryError(
-            f"{scene.path}: the boundary of '{smooth.name}' is smooth, and Ŝ has no values in given directions behind "
-            "it; use rays='exits'"
-        )
+    if reason := no_values_reason(scene):
+        raise QueryError(f"{scene.path}: {reason}; Ŝ has no values in given directions there; use rays='exits'")
     return ValueTracer(prepare(scene), box, settings, seed)
 
 

@@ -141,9 +141,15 @@ def test_a_report_without_time_has_no_pictures_and_says_so(tmp_path, monkeypatch
 
 
 def test_a_report_has_the_error_of_the_training_unless_its_own_has_more_queries(report):
+    """A bound alone, the upper end of an interval from 0, is no error."""
     own, count = report["coefficients"]["surface"]["network"], report["coefficients"]["surface"]["of"]
-    for queries, value in ((count, 0.061), (count - 1, own["value"])):
-        final = {"coefficients": 0.061, "coefficients_interval": [0.05, 0.07], "queries": queries}
+    known, bound = [0.05, 0.07], [0.0, 0.061]
+    for queries, interval, value in (
+        (count, known, 0.061),
+        (count - 1, known, own["value"]),
+        (count, bound, own["value"]),
+    ):
+        final = {"coefficients": 0.061, "coefficients_interval": interval, "queries": queries}
         found = {**report, "model": {**report["model"], "final_errors": final}}
         text = sentences(found)
         assert text[0].startswith(f"the network is {100 * value:.1f} % off (")

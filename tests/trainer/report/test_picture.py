@@ -13,7 +13,16 @@ from prt_bake.geometry import camera
 from prt_bake.lights.environment import project
 from prt_bake.rendering.scene import render_scene
 from prt_bake.trainer.report import picture as training_picture
-from prt_bake.trainer.report.picture import ENLARGED, FLIP, SIZE, SUNS, picture_criterion, picture_error, sun_and_sky
+from prt_bake.trainer.report.picture import (
+    ENLARGED,
+    FLIP,
+    SIZE,
+    SUNS,
+    picture_criterion,
+    picture_error,
+    picture_summary,
+    sun_and_sky,
+)
 from tests.tracer.scenes import make_scene, sphere
 from tests.trainer.report.test_assessment import Network
 
@@ -111,6 +120,17 @@ def test_flip_of_noise_alone_may_be_nothing():
     row = picture_criterion({"sun": "behind", "flip": 1.0, "flip_without_noise": np.sqrt(2.0 - doubled**2)})
     assert row["low"] == pytest.approx(0.0, abs=1e-4)
     assert row["result"] == "undecided"
+
+
+@pytest.mark.parametrize(
+    ("error", "words"), [(0.031, "is 3.1%, the ref"), (np.nan, "unknown: noise"), (None, "unknown")]
+)
+def test_an_error_that_noise_hides_is_unknown(error: float | None, words: str) -> None:
+    """It is NaN in memory and null in a file."""
+    flips = {"flip": 0.1, "flip_of_noise": 0.05}
+    entry = {"light": "a sun", "error": error, "noise": 0.04, **flips, "on_object": flips}
+    assert words in picture_summary(entry)
+    assert "nan" not in picture_summary(entry)
 
 
 def test_a_black_object_has_no_picture(tmp_path):

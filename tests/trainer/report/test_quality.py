@@ -50,7 +50,10 @@ def test_an_unknown_error_or_interval_is_no_number() -> None:
     nan = math.nan
     assert "unknown" in quality(Interval(nan, nan, nan), 1.0, 1e6)
     assert quality(Interval(0.3, nan, nan), 1.0, 1e6).startswith("the network is 30.0 % off: a rough impression; ")
-    assert quality(Interval(0.04, 0.0, 0.04), 0.0, 1e6).startswith("the network is at most 4.0 % off (0.0 to 4.0): ")
+    for hidden in (Interval(0.04, 0.0, 0.04), Interval(0.0, 0.0, 0.04)):
+        text = "the network is at most 4.0 % off (0.0 to 4.0): good for final pictures"
+        assert quality(hidden, 5.0, 1e6) == text
+    assert quality(Interval(0.0, 0.0, 0.0), 0.0, 1e6).startswith("the network is 0.0 % off")
 
 
 def test_nothing_is_extrapolated_from_a_part_of_the_learning() -> None:
