@@ -86,7 +86,10 @@ class NeuralBSSRDF(NetworkCore):
     def evaluate_block(
         self, incident: ArrayLike, rotation: ArrayLike, positions: ArrayLike, outgoing: ArrayLike
     ) -> NDArray[np.float32]:
-        """Ŝ [N,B,D,3]: bin (n, b) is lit from incident[rotation[n, b]]; see `FusedNetwork.evaluate_block`."""
+        """Ŝ [N,B,D,3]: bin (n, b) is lit from incident[rotation[n, b]]; see `FusedNetwork.evaluate_block`.
+
+        Each call prepares the network; for many blocks, call `prepared` once and evaluate what it returns.
+        """
         fused = self.prepared(device=self.frequencies.device.type)
         return fused.evaluate_block(incident, rotation, positions, outgoing)
 
