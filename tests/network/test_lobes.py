@@ -142,8 +142,8 @@ def test_the_exit_loss_uses_the_exact_mean_square_of_lobes() -> None:
     smooth = 0.3 + 0.2 * everywhere
     added = evaluate_lobes(lobes, everywhere)
     none = torch.zeros((draws, 1, 3))
-    plain = exit_loss(none, none, smooth + added, "l2", 0.01)
-    exact = exit_loss(none, none, smooth + added, "l2", 0.01, LobeTerms(added, mean_square(lobes)))
+    plain = exit_loss(none, none, smooth + added)
+    exact = exit_loss(none, none, smooth + added, LobeTerms(added, mean_square(lobes)))
     difference = (plain - exact).double()
     assert abs(float(difference.mean())) < 4.0 * float(difference.std()) / draws**0.5
     assert float(exact.std()) < 0.3 * float(plain.std())
