@@ -391,11 +391,3 @@ def test_a_mesh_outside_the_box_of_the_model_raises() -> None:
     with pytest.raises(QueryError, match=r"14 of 14 vertices lie outside the box .* number 0, "):
         bake(network, far, rings=1, sectors=1)
     assert bake(network, mesh, rings=1, sectors=1).complete
-
-
-@pytest.mark.parametrize(
-    ("change", "sentence"), [({"rings": 1024, "sectors": 1024}, "view bins"), ({"samples": 10**9}, "a bin")]
-)
-def test_excessive_sizes_raise_before_any_work(change: dict[str, int], sentence: str) -> None:
-    with pytest.raises(QueryError, match=sentence):
-        plan(Kinked(), ball(), **change)

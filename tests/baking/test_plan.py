@@ -1,4 +1,4 @@
-"""Predicted costs of bakes, compared with their actual costs."""
+"""Plans of bakes: predicted costs compared with actual ones, and sizes that are refused."""
 
 from typing import Any
 
@@ -7,6 +7,7 @@ import pytest
 
 from bakers.adaptive.records import RefinedBlock
 from bakers.workers import Threads
+from formats.errors import QueryError
 from prt_bake import bake
 from prt_bake.baking.adaptive import pilot_pass
 from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
@@ -100,3 +101,11 @@ def test_a_plan_with_fixed_samples_bakes_only_some_blocks() -> None:
     predicted = plan(counted, MESH, **GRID, samples=64)
     assert predicted.seconds is not None
     assert counted.evaluations < 0.5 * predicted.evaluations
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"), [({"rings": 1024, "sectors": 1024}, "view bins"), ({"samples": 10**9}, "a bin")]
+)
+def test_excessive_sizes_raise_before_any_work(change: dict[str, int], sentence: str) -> None:
+    with pytest.raises(QueryError, match=sentence):
+        plan(Edged(), MESH, **change)

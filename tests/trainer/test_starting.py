@@ -14,6 +14,7 @@ from formats.scene import Scene, read_scene
 from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.trainer.training_data import PathTracedData, learning_for
 from tests.network import WITHOUT_MESH
+from tests.trainer.learning.test_low_bands import trained
 from tests.trainer.small_training import LEARNING, STREAM, make_scene, train_small
 
 EAGER = replace(LEARNING, checkpoint_every=0.0)
@@ -96,3 +97,12 @@ def test_another_material_is_learned_in_fewer_steps(scene: Scene, tmp_path: Path
         for start in (None, earlier)
     ]
     assert errors[1] < 0.7 * errors[0]
+
+
+@pytest.mark.parametrize("rays", ["exits", "values"])
+def test_a_run_from_values_says_that_it_drops_earlier_low_bands(tmp_path: Path, rays: Any) -> None:
+    rough, said = make_scene(tmp_path, eta=1.3, roughness=0.3), list[str]()
+    start = trained(rough, 1, synchronous=True)
+    made = trained(rough, 1, start=start, synchronous=True, stream=replace(STREAM, rays=rays), say=said.append)
+    dropped = [sentence for sentence in said if "no low bands" in sentence]
+    assert (made.low is None) == bool(dropped) == (rays == "values")

@@ -393,11 +393,3 @@ def test_only_low_bands_needs_some_to_learn(scene: Scene, tmp_path: Path) -> Non
     for some, arguments, fault in requests:
         with pytest.raises(QueryError, match=fault):
             trained(some, 2, only_low_bands=True, **arguments)
-
-
-@pytest.mark.parametrize("rays", ["exits", "values"])
-def test_a_run_from_values_says_that_it_drops_earlier_low_bands(scene: Scene, rays: Any) -> None:
-    start, said = trained(scene, 1, synchronous=True), list[str]()
-    made = trained(scene, 1, start=start, synchronous=True, stream=replace(STREAM, rays=rays), say=said.append)
-    dropped = [sentence for sentence in said if "no low bands" in sentence]
-    assert (made.low is None) == bool(dropped) == (rays == "values")
